@@ -1,4 +1,4 @@
-"""Files: what users hand in is bounded in size; what is written appears whole or not at all."""
+"""Files: input is bounded in size; output appears whole or not at all."""
 
 import errno
 import json
@@ -15,22 +15,22 @@ from pathlib import Path
 from typing import Any
 
 _WAITING: ContextVar[dict[Path, Path] | None] = ContextVar("files that appear together", default=None)
-"""Temporary names by the files that they become."""
+"""Final file: its temporary name."""
 
 
 class BadInput(Exception):
-    """Something that the user can mend. Its text is one paragraph: what is wrong, and what to do."""
+    """An error that the user can fix. Its text is one paragraph: what is wrong, and what to do."""
 
 
 class UnreadableFile(ValueError):
-    """A file that cannot be read. The text says why and what to do; who asked names the file."""
+    """A file that cannot be read. The text says why and what to do; the caller names the file."""
 
 
 def check_file(path: Path, largest: int) -> None:
-    """Refuse what is no file, or one larger than `largest` bytes.
+    """Refuse anything but a regular file of at most `largest` bytes.
 
     Raises:
-        UnreadableFile: missing, a folder, a device or a pipe, too large, or not to be looked at.
+        UnreadableFile: missing, a folder, a device or a pipe, too large, or not accessible.
     """
     try:
         if path.is_dir():
@@ -49,11 +49,11 @@ def check_file(path: Path, largest: int) -> None:
 
 
 def read_bounded(path: Path, largest: int) -> bytes:
-    """The content of a regular file of at most `largest` bytes. Raises UnreadableFile as `check_file`."""
+    """Content of a regular file of at most `largest` bytes. Raises UnreadableFile as `check_file` does."""
     check_file(path, largest)
     try:
         with open(path, "rb") as file:
-            content = file.read(largest + 1)  # files of /proc have more than they say
+            content = file.read(largest + 1)  # files in /proc hold more than their size says
     except OSError as error:
         raise _unreadable(error) from error
     if len(content) > largest:
@@ -62,11 +62,11 @@ def read_bounded(path: Path, largest: int) -> bytes:
 
 
 def check_archive(path: Path, largest: int) -> None:
-    """Refuse an archive, such as of numpy, that is larger than `largest` bytes, packed or not.
+    """Refuse a zip archive, such as NumPy's, of more than `largest` bytes, packed or unpacked.
 
     Raises:
         UnreadableFile: as `check_file`.
-        zipfile.BadZipFile: it is none.
+        zipfile.BadZipFile: it is no zip archive.
     """
     check_file(path, largest)
     with zipfile.ZipFile(path) as archive:
@@ -88,14 +88,13 @@ def _too_large(size: int, largest: int) -> UnreadableFile:
 
 @contextmanager
 def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
-    """A temporary name, renamed to `path` when the block ends well and removed when it does not. A link stays
-    one: the file that it names is written.
+    """Yield a temporary name, renamed to `path` if the block succeeds, removed if not; links are followed.
 
     Args:
-        part: the temporary name, on the same disk; beside the file unless given.
+        part: the temporary name, on the same disk; by default beside the file.
 
     Raises:
-        OSError: the place cannot be written to.
+        OSError: the path cannot be written.
     """
     file = Path(os.path.realpath(path))
     if part is None:
@@ -109,11 +108,10 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def replaced_folder(path: Path) -> Iterator[Path]:
-    """A temporary name for a folder that the block makes. When it ends well, the new folder takes the place
-    of the one at `path`, which is gone then; else that one stays.
+    """Yield a temporary name for a folder that the block makes; if it succeeds, replace the folder at `path`.
 
     Raises:
-        OSError: the place cannot be written to.
+        OSError: the path cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
@@ -131,10 +129,10 @@ def replaced_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """As `replaced_file`, for a place that a user named; inside `together` it appears with the others.
+    """Like `replaced_file`, for a path from the user; inside `together` the file appears with the others.
 
     Raises:
-        BadInput: the place cannot be written to.
+        BadInput: the path cannot be written.
     """
     waiting = _WAITING.get()
     if waiting is None:
@@ -149,12 +147,11 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def together() -> Iterator[None]:
-    """What the block writes as `whole_file` appears when it ends well, all at once, or not at all; signals
-    to end wait until all of it is there.
+    """Make all files that the block writes with `whole_file` appear together, or none if it fails.
 
     Raises:
-        BadInput: a place cannot be written to.
-        KeyboardInterrupt: a signal came meanwhile.
+        BadInput: a path cannot be written.
+        KeyboardInterrupt: a termination signal arrived while the files were being renamed.
     """
     waiting: dict[Path, Path] = {}
     token = _WAITING.set(waiting)
@@ -172,7 +169,7 @@ def together() -> Iterator[None]:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Keep signals to end until the block is over; Python hears them in its main thread alone."""
+    """Hold back termination signals until the block ends; Python receives them only in its main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -193,7 +190,7 @@ def _undisturbed() -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Tell a failure of the disk or of permissions as bad input that names `path`.
+    """Report a disk or permission error as bad input that names `path`.
 
     Raises:
         BadInput: instead of OSError.
@@ -209,7 +206,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_json(path: Path | None, document: Mapping[str, Any]) -> None:
-    """Write a JSON document as `write_text`, if there is a path; keys sorted, numbers not finite as null."""
+    """Write a JSON document if `path` is given; keys are sorted, numbers that are not finite become null."""
     if path is None:
         return
     text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
@@ -217,18 +214,18 @@ def write_json(path: Path | None, document: Mapping[str, Any]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text.
+    """Write a text file.
 
     Raises:
-        BadInput: the place cannot be written to.
+        BadInput: the path cannot be written.
     """
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
-    """Mappings, lists and numbers as JSON knows them, null for numbers that are not finite."""
-    if hasattr(value, "tolist"):  # arrays and numpy's numbers
+    """The value in JSON's types, null for numbers that are not finite."""
+    if hasattr(value, "tolist"):  # NumPy arrays and scalars
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}

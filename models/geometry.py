@@ -6,7 +6,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 
 def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatArray:
-    """(…) the angle one - other, wrapped to half a turn on both sides, rad: -π to below π."""
+    """(…) the angle one - other, wrapped to [-π, π), rad."""
     return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
 
 
@@ -23,21 +23,21 @@ def rotated(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
 
 
 def placed(points: FloatArray, pose: FloatArray) -> FloatArray:
-    """(…, 2) world coordinates of points (…, 2) given in the frame that lies at `pose` (…, 3)."""
+    """(…, 2) world coordinates of points (…, 2) given in the frame at `pose` (…, 3)."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack([pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y], axis=-1)
 
 
 def seen_from(points: FloatArray, pose: FloatArray) -> FloatArray:
-    """Inverse of `placed`: (…, 2) world points in the frame that lies at `pose` (…, 3)."""
+    """Inverse of `placed`: (…, 2) world points in the frame at `pose` (…, 3)."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0] - pose[..., 0], points[..., 1] - pose[..., 1]
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)
 
 
 def compose(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(…, 3) pose in the world of `second`, which is given in the frame `first`."""
+    """(…, 3) world pose of `second`, which is given in the frame `first`."""
     return np.concatenate([placed(second, first), first[..., 2:] + second[..., 2:]], axis=-1)
 
 
@@ -47,14 +47,14 @@ def relative(frame: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def turned_to(pose: FloatArray, angle: float) -> FloatArray:
-    """(…, 3) the same poses with angles within half a turn of `angle`, rad."""
+    """(…, 3) the same poses, with angles within half a turn of `angle`, rad."""
     result = np.array(pose, dtype=float)
     result[..., 2] = angle + angle_between(result[..., 2], angle)
     return result
 
 
 def at_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
-    """Poses (…, 3) of the object frame as positions of the cells' centroid, with the angle."""
+    """Poses (…, 3) of the object frame, moved to the cells' centroid."""
     return compose(poses, np.append(grid.centers.mean(axis=0), 0.0))
 
 
@@ -64,5 +64,5 @@ def from_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
 
 
 def radius_of_gyration(grid: CellGrid) -> float:
-    """Of the cells about their centroid, m; an angle times it is about as far as the cells move."""
+    """Radius of gyration of the cells about their centroid, m; times an angle, about how far cells move."""
     return float(np.sqrt(((grid.centers - grid.centers.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -1,4 +1,4 @@
-"""Processes that work for another one end with it, however that ends."""
+"""Worker processes that end with their parent, however it ends."""
 
 import os
 import signal
@@ -9,8 +9,10 @@ _EVERY = 1.0  # s
 
 
 def prepare_worker() -> None:
-    """To be called first in a worker. Ctrl-C is the affair of the process that it works for; where that is
-    gone, killed perhaps, so is the worker, within seconds and whatever it is doing."""
+    """Ignore Ctrl-C, which the parent handles, and exit within seconds of the parent's end, even if killed.
+
+    Call it first in a worker.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""How work that takes long says how far it has come."""
+"""Progress callbacks of long computations."""
 
 from collections.abc import Callable
 
@@ -10,14 +10,14 @@ StageProgress = Callable[[int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """The progress that nobody asked for."""
+    """Ignore the progress."""
 
 
 def about(what: str, progress: Progress) -> Progress:
-    """Progress of stages that say what they are about: `fitting, without effects`."""
+    """Progress whose stages name their subject: `fitting, without effects`."""
     return lambda stage, done, total: progress(f"{stage}, {what}", done, total)
 
 
 def part_of(progress: StageProgress, place: int, parts: int) -> StageProgress:
-    """Progress of one of several parts that take about equally long, counted over all of them."""
+    """Progress of one of several equally long parts, counted over all of them."""
     return lambda done, total: progress(place * total + done, parts * total)

@@ -1,4 +1,4 @@
-"""What the settings of a scenario file have in common: fields with a range, and the check of it."""
+"""Settings dataclasses of scenario files: fields with a range, and the check of that range."""
 
 from dataclasses import field, fields
 from typing import Any
@@ -10,10 +10,10 @@ def within(default: float, least: float, largest: float) -> Any:
 
 
 def check_ranges(settings: Any, section: str) -> None:
-    """Refuse settings of which a field made by `within` is out of its range.
+    """Refuse settings with a field made by `within` that is out of range.
 
     Args:
-        section: what stands before a field's name in the message, such as `execution.` or `goals: `.
+        section: prefix of the field's name in the message, such as `execution.` or `goals: `.
 
     Raises:
         ValueError: names the field, its range and its value; NaN is in no range.
@@ -26,7 +26,7 @@ def check_ranges(settings: Any, section: str) -> None:
 
 
 class CheckedSettings:
-    """Base of settings dataclasses that refuse values out of range when they are made."""
+    """Base of settings dataclasses that refuse values out of range on construction."""
 
     _section = ""
 
@@ -34,5 +34,5 @@ class CheckedSettings:
         self.check()
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError if a field is out of range."""
         check_ranges(self, self._section)

@@ -1,13 +1,13 @@
-"""Derivatives of the cells' formulas: backwards through their common parts, in one loop over the cells.
+"""Reverse-mode derivatives of the cells' formulas, in one loop over the cells.
 
-What the gradient of a step changes with is a sum over cells,
+The derivative of a step's gradient is a sum over cells,
 
     G_aj = Σ_i Σ_c g_cai ∂e_c(b(y), r_i)/∂y_j ,
 
-with the formulas e_c of a cell at r, and b all that they use and that is the same for every cell. Each
-formula is cut into small assignments. The loop goes through them forwards, for their values and local
-derivatives, and then backwards with the three rows of g, which gives Σ_i Σ_c g_cai ∂e_c/∂b_k; the chain by
-∂b_k/∂y_j is left for after the loop. Going forwards with every y_j took three to five times the arithmetic.
+with the formulas e_c of a cell at r, and b the parts of them that are the same for every cell. Each formula
+is cut into small assignments. The loop goes through them forwards, for their values and local derivatives,
+and then backwards with the three rows of g, which gives Σ_i Σ_c g_cai ∂e_c/∂b_k. The factors ∂b_k/∂y_j
+follow after the loop. Forward mode with every y_j took three to five times the arithmetic.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any
 
 import sympy as sp
 
-_ROWS = 3  # of g and G: the gradient by v_x, v_y, omega
+_ROWS = 3  # of g and G: the gradient with respect to v_x, v_y, omega
 
 
 @dataclass(frozen=True)
 class BackwardLoop:
-    """Code lines, not indented, of the loop and of what comes around it."""
+    """Code lines, not indented, of the loop and around it."""
 
     before: list[str]  # assigns b
     within: list[str]  # for one cell; adds to the sums
@@ -42,12 +42,12 @@ def backward_loop(
 
     Args:
         formulas: the stem of the names of g_c0, g_c1 and g_c2, and e_c.
-        y: symbols to differentiate by, in the order of G's columns.
+        y: symbols to differentiate with respect to, in the order of G's columns.
         place: symbols that differ from cell to cell, r_x and r_y.
-        derivative: of an expression by a symbol.
+        derivative: derivative of an expression with respect to a symbol.
         printed: code of an expression.
     """
-    # What stands in a case may have no value outside of it, and is computed there alone.
+    # The body of a case may have no value outside it, so it is computed only there.
     cases = {c: sp.Dummy(real=True) for _, e in formulas for c in _outermost_cases(e)}
     steps, ends = sp.cse(
         [e.xreplace(cases) for _, e in formulas], symbols=sp.numbered_symbols("t", real=True), order="none"
@@ -94,7 +94,7 @@ def backward_loop(
 
 
 def _outermost_cases(expression: Any) -> list[Any]:
-    """Piecewise parts of an expression that are not inside of another."""
+    """Piecewise parts of an expression that are not nested in another."""
     if isinstance(expression, sp.Piecewise):
         return [expression]
     return [case for argument in expression.args for case in _outermost_cases(argument)]
@@ -107,8 +107,11 @@ def _forwards(
     derivative: Callable[[Any, Any], Any],
     printed: Callable[[Any], str],
 ) -> tuple[list[str], list[list[tuple[Any, Any]]]]:
-    """Lines that compute the steps, and the derivatives of steps and formulas by what they are made of as far
-    as that depends on what is wanted: for each, symbols and derivatives."""
+    """Lines that compute the steps and the local derivatives, and these derivatives.
+
+    For each step and formula: the symbols in it that depend on what is wanted, and the derivatives with
+    respect to them.
+    """
     lines: list[str] = []
     partials: list[list[tuple[Any, Any]]] = []
     active = set(wanted)
@@ -132,8 +135,7 @@ def _backwards(
     partials: Sequence[list[tuple[Any, Any]]],
     printed: Callable[[Any], str],
 ) -> tuple[list[str], dict[Any, list[_Flow]]]:
-    """Lines that go from the formulas, last of the symbols, back to the first step; and what flows into each
-    symbol."""
+    """Lines from the formulas, last of the symbols, back to the first step, and the flows into symbols."""
     lines: list[str] = []
     inflow: dict[Any, list[_Flow]] = {}
     for number in range(len(symbols) - 1, -1, -1):
@@ -154,9 +156,9 @@ def _backwards(
 
 @dataclass(frozen=True)
 class _Flow:
-    """Derivative of Σ_c g_ca e_c by a symbol."""
+    """Derivative of Σ_c g_ca e_c with respect to a symbol."""
 
-    # stem of the g of the only formula that depends on the symbol, or None where there are more
+    # stem of the g of the only formula that depends on the symbol, or None if several do
     formula: str | None
     parts: list[Any]  # that formula's derivative, to be multiplied by g_0, g_1, g_2; or the three rows
 
@@ -168,7 +170,7 @@ class _Flow:
 
 
 def _together(flows: Sequence[_Flow]) -> _Flow:
-    """The sum of flows; three rows only where it takes several formulas."""
+    """The sum of flows; it has three rows only if several formulas contribute."""
     formulas = {flow.formula for flow in flows}
     if len(formulas) == 1 and None not in formulas:
         return _Flow(flows[0].formula, [sp.Add(*(flow.parts[0] for flow in flows))])
@@ -176,11 +178,11 @@ def _together(flows: Sequence[_Flow]) -> _Flow:
 
 
 class _Parts:
-    """Formulas of a cell cut into small steps; what is the same for all cells has names of its own.
+    """Formulas of a cell cut into small steps; parts that are the same for all cells get names.
 
     Attributes:
-        names: symbols under which the loop uses what is the same for all cells, and their values.
-        steps: symbols that differ from cell to cell, and each in terms of earlier ones and of names.
+        names: symbols of the parts that are the same for all cells, and their values.
+        steps: symbols that differ from cell to cell, each in terms of earlier ones and of names.
     """
 
     def __init__(self, place: set[Any]) -> None:
@@ -191,14 +193,14 @@ class _Parts:
         self._symbols: dict[Any, Any] = {}
 
     def define(self, symbol: Any, expression: Any) -> None:
-        """Let a symbol of later expressions stand for this one."""
+        """Let a symbol in later expressions stand for this one."""
         if self._moves(expression):
             self._stands_for[symbol] = self._symbol(self.small(expression))
         else:
             self._stands_for[symbol] = expression.xreplace(self._stands_for)
 
     def small(self, expression: Any) -> Any:
-        """The expression as one operation on symbols, those of its parts being defined by steps."""
+        """The expression as one operation on symbols; steps define the symbols of its parts."""
         if not self._moves(expression):
             return self._name(expression)
         if expression.is_Symbol:
@@ -211,11 +213,11 @@ class _Parts:
             return expression.func(*numbers, *named, *(self._operand(e, expression.is_Add) for e in rest))
         if all(isinstance(a, sp.Expr) for a in expression.args):
             return expression.func(*(self._operand(self.small(a), False) for a in expression.args))
-        # Cases stay whole: a condition is no number that a symbol could stand for.
+        # Cases stay whole: a condition is not a number, so no symbol can stand for it.
         return expression.xreplace({symbol: self.small(symbol) for symbol in expression.free_symbols})
 
     def _operand(self, expression: Any, products: bool) -> Any:
-        """A symbol or number for a small expression; products of symbols stay where they are, if wished."""
+        """A symbol or number for a small expression; with `products`, products of symbols stay inline."""
         if products and expression.is_Mul and all(a.is_Symbol or a.is_number for a in expression.args):
             return expression
         return expression if expression.is_Symbol or expression.is_number else self._symbol(expression)
@@ -248,7 +250,7 @@ class _Parts:
 def _straight_backwards(
     targets: Sequence[tuple[str, Any]], stem: str, printed: Callable[[Any], str]
 ) -> list[str]:
-    """Lines that assign expressions to targets, their common parts first."""
+    """Lines that assign expressions to targets, after their common parts."""
     steps, reduced = sp.cse(
         [e for _, e in targets], symbols=sp.numbered_symbols(stem, real=True), order="none"
     )

@@ -1,8 +1,8 @@
-"""What an effect is: a name, a sentence, parameters, and formulas in SymPy for what it changes.
+"""Base class of effects: a name, a sentence, parameters, and SymPy formulas for what the effect changes.
 
-A subclass gives `name`, `sentence` and `parameters` and overrides one or more of the methods below. Each gets
+A subclass sets `name`, `sentence` and `parameters` and overrides one or more of the methods below. Each gets
 SymPy symbols (see `symbols.py`) and the effect's parameters as attributes of `p`, and returns SymPy
-expressions. Derivatives and machine code are made from them; nothing is differentiated by hand. Where a
+expressions. slipmap derives derivatives and machine code from them; nothing is differentiated by hand. If a
 method fails, an `EffectError` names the file and the line.
 """
 
@@ -23,7 +23,7 @@ Owner = Literal["object", "table", "tracker", "finger", "force sensor"]
 
 
 class EffectError(ValueError):
-    """An effect that cannot be used; the message names the effect, and file and line where known."""
+    """An unusable effect; the message names the effect, and the file and line if known."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,16 @@ class Parameter:
 
     Attributes:
         name: a Python identifier.
-        unit: SI, `1` where it has none.
-        meaning: for a person, a few words.
+        unit: SI; `1` for a dimensionless number.
+        meaning: a few words for the reader.
         low: smallest value.
         high: largest value.
-        scale: how far from `center` it is expected to be: the standard deviation of its prior.
+        scale: expected distance from `center`: the standard deviation of the prior.
         null: value at which the effect vanishes whatever the other parameters are; None for a parameter that
-            shapes the effect and means nothing without it.
-        start: first guess of a parameter that shapes; its prior is centred there.
-        weight_power: the scale is multiplied by this power of the object's weight in newtons, so that forces
-            are as likely for a heavy object as for a light one.
+            only shapes the effect.
+        start: first guess of a shaping parameter; its prior is centred there.
+        weight_power: the scale is multiplied by this power of the object's weight in newtons, so that the
+            prior on forces suits heavy and light objects alike.
 
     Example:
         >>> import slipmap
@@ -62,32 +62,32 @@ class Parameter:
 
     @property
     def center(self) -> float:
-        """The null, or the first guess of a parameter without one."""
+        """The null, or the first guess if there is no null."""
         return self.start if self.null is None else self.null
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the recorded pushes look like, for effects that have to guess where to begin."""
+    """Summary of the recorded pushes, for effects that must guess where to start a search."""
 
-    center: tuple[float, float]  # (2,) middle of the places at which the object was, m
-    reach: float  # half the width of those places, m
-    radius: float  # of the object about its frame's origin, m
-    speed: float  # that the finger typically had, m/s
-    pushes: int  # their number
-    weight: float  # of the object as first fitted, N
+    center: tuple[float, float]  # (2,) centre of the region that the object covered, m
+    reach: float  # half the width of that region, m
+    radius: float  # radius of the object about its frame's origin, m
+    speed: float  # typical speed of the finger, m/s
+    pushes: int  # number of pushes
+    weight: float  # the object's weight from the first fit, N
 
 
 class Effect:
-    """Base of all effects; a subclass overrides what it changes and leaves the rest.
+    """Base of all effects; a subclass overrides only what it changes.
 
     Attributes:
         name: lower case with underscores.
-        sentence: what it is, for a person.
-        parameters: at least one with a null value.
+        sentence: one sentence that says what the effect is.
+        parameters: at least one has a null value.
         memory: names of numbers that the effect carries from step to step; they start at 0.
-        belongs_to: what has the effect: datasets of several objects share it where they share that, and have
-            parameters of their own where it is the object's.
+        belongs_to: where the effect originates. Several datasets share one set of parameters, unless the
+            effect belongs to the object; then each has its own.
 
     Example:
         >>> import slipmap
@@ -108,11 +108,11 @@ class Effect:
     belongs_to: ClassVar[Owner] = "object"
 
     def friction(self, cell: Any, p: Any) -> Any:
-        """Factor on the friction of a cell, 1 without the effect."""
+        """Factor on the friction of a cell; 1 without the effect."""
         return None
 
     def drag(self, cell: Any, p: Any) -> Any:
-        """Force on a cell per speed, against its motion, N s/m; 0 without the effect."""
+        """Force on a cell per unit speed, against its motion, N s/m; 0 without the effect."""
         return None
 
     def stretch(self, cell: Any, p: Any) -> Any:
@@ -124,61 +124,63 @@ class Effect:
         return None
 
     def blade(self, body: Any, p: Any) -> Any:
-        """(F, n_x, n_y, r_x, r_y): F newtons resist motion of the object's point r along a unit vector n."""
+        """(F, n_x, n_y, r_x, r_y): F newtons resist motion of the object's point r along unit vector n."""
         return None
 
     def pyramid(self, body: Any, p: Any) -> Any:
-        """(c, d, angle): friction's norm |u| becomes c |u| + d (|u·e| + |u·n|), a pyramid's.
+        """(c, d, angle): the friction norm |u| becomes c |u| + d (|u·e| + |u·n|), a pyramid.
 
-        Of the unit vectors e is at the angle in the world, n across it; (1, 0, 0) without.
+        Unit vector e points at this angle in the world, n at right angles to it; (1, 0, 0) without.
         """
         return None
 
     def inertia(self, body: Any, p: Any) -> Any:
-        """Factor on mass and moment of inertia (not on weight), 1 without the effect."""
+        """Factor on mass and moment of inertia (not on weight); 1 without the effect."""
         return None
 
     def compliance(self, body: Any, p: Any) -> Any:
-        """How far the finger gives way to a force, m/N; 0 without the effect."""
+        """Deflection of the finger per force, m/N; 0 without the effect."""
         return None
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
-        """The numbers named in `memory` after a step."""
+        """Values after a step of the numbers named in `memory`."""
         return None
 
     def measured(self, pose: Any, p: Any) -> Any:
-        """(x, y, theta) that the tracker reports where the object truly is at `pose`."""
+        """(x, y, theta) that the tracker reports for the true object pose `pose`."""
         return None
 
     def delay(self, p: Any) -> Any:
-        """By how much the tracker's poses are late, s; 0 without the effect."""
+        """Delay of the tracker's poses, s; 0 without the effect."""
         return None
 
     def felt(self, force: Any, p: Any) -> Any:
-        """(F_x, F_y) that the force sensor reports where the finger truly pushes with `force`, world, N."""
+        """(F_x, F_y) that the force sensor reports for the finger's true `force`, world, N."""
         return None
 
     def force_delay(self, p: Any) -> Any:
-        """By how much the sensor's forces are late, s; 0 without the effect."""
+        """Delay of the sensor's forces, s; 0 without the effect."""
         return None
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
-        """Guesses of the parameters without a null to begin a search from; others keep their start."""
+        """Starting points of a search, for parameters without a null; those not named keep their `start`."""
         return [{}]
 
     def far_starts(self) -> list[dict[str, float]]:
-        """Values of parameters with a null from which a search begins too, where the way from there may lead
-        astray; an angle may have to turn by half a turn."""
+        """Further starting points, for parameters with a null, where a search from the null may go astray.
+
+        An angle, for instance, may be half a turn away.
+        """
         return []
 
     @property
     def only_force(self) -> bool:
-        """Whether it changes nothing but the measured force."""
+        """Whether the effect changes only the measured force."""
         return all(getattr(type(self), name) is getattr(Effect, name) for name in _OF_MOTION)
 
     @property
     def nulls(self) -> FloatArray:
-        """(P,) parameters at which the effect vanishes, those that shape it at their start."""
+        """(P,) parameters at which the effect vanishes; shaping parameters are at their start."""
         return np.array([parameter.center for parameter in self.parameters])
 
     @property
@@ -188,20 +190,20 @@ class Effect:
 
     @property
     def signs(self) -> FloatArray:
-        """(P,) 1 or -1 where a parameter's null is an end of its range: it can only grow or fall; else 0."""
+        """(P,) 1 or -1 if a parameter's null is the low or high end of its range, else 0."""
         return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
 
     def guesses(self, scene: Scene) -> list[dict[str, float]]:
         """What `starts` returns, checked against the parameters.
 
         Raises:
-            EffectError: starts() failed, or gives something else than guesses of this effect's parameters.
+            EffectError: starts() failed, or returns anything but guesses of this effect's parameters.
         """
         given = call_formula(self, "starts", scene)
         if not (isinstance(given, list | tuple) and given and all(isinstance(g, Mapping) for g in given)):
             raise EffectError(
                 f"effect {self.name}: starts() must return a list of one or more guesses, each a dict from"
-                f" names of parameters to numbers, got {given!r}"
+                f" parameter names to numbers, got {given!r}"
             )
         names = [parameter.name for parameter in self.parameters]
         for name, value in (item for guess in given for item in guess.items()):
@@ -216,7 +218,7 @@ class Effect:
         return [dict(guess) for guess in given]
 
     def with_far_starts(self, values: FloatArray) -> FloatArray:
-        """(1 + F, P) parameters (P,), and the same with each of the `far_starts`."""
+        """(1 + F, P) the parameters (P,), then a copy with each of the `far_starts`."""
         rows = np.tile(values, (1 + len(self.far_starts()), 1))
         names = [parameter.name for parameter in self.parameters]
         for row, far in zip(rows[1:], self.far_starts(), strict=True):
@@ -225,7 +227,7 @@ class Effect:
         return rows
 
     def start_values(self, scene: Scene) -> FloatArray:
-        """(G, P) `guesses` as arrays within the parameters' ranges; what they do not name at its `center`.
+        """(G, P) `guesses` as arrays within the parameters' ranges; parameters not named are at `center`.
 
         Raises:
             EffectError: as `guesses`.
@@ -235,13 +237,13 @@ class Effect:
 
 
 def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
-    """(P,) lowest and highest values of the parameters of some effects, one after the other."""
+    """(P,) lowest and highest values of the effects' parameters, joined."""
     every = [parameter for effect in effects for parameter in effect.parameters]
     return np.array([p.low for p in every]), np.array([p.high for p in every])
 
 
 def scales(effects: Sequence[Effect], weight: float) -> FloatArray:
-    """(P,) prior standard deviations of the parameters for an object of some weight, N."""
+    """(P,) prior standard deviations of the parameters for an object of the given weight, N."""
     return np.array([p.scale * weight**p.weight_power for effect in effects for p in effect.parameters])
 
 
@@ -249,18 +251,18 @@ def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
     """Result of one of the effect's methods.
 
     Raises:
-        EffectError: it raised, or wanted to end the program; names the effect, the method, file and line.
+        EffectError: it raised, or tried to exit; names the effect, the method, file and line.
     """
     try:
         return getattr(effect, method)(*arguments)
     except (EffectError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # as by sys.exit(), which would end the program without a word
+    except BaseException as error:  # sys.exit() would end the program silently
         raise EffectError(f"effect {effect.name}: {method}() failed in {failure(error)}") from error
 
 
 def failure(error: BaseException) -> str:
-    """Where and with what an effect's code failed: `file, line n: Kind: text`."""
+    """Location and message of a failure in an effect's code: `file, line n: Kind: text`."""
     try:
         said = " ".join(str(error).split())
     except Exception:  # an error of the user's own may fail to describe itself
@@ -270,11 +272,11 @@ def failure(error: BaseException) -> str:
 
 
 def _failing_line(error: BaseException) -> str:
-    """`file, line n` of the innermost frame of an error that is outside this package and its libraries."""
+    """`file, line n` of an error's innermost frame outside this package and its libraries."""
     here = Path(__file__).parent
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
-        if frame.filename.startswith("<"):  # of Python itself, as "<frozen _sitebuiltins>"
+        if frame.filename.startswith("<"):  # Python itself, such as "<frozen _sitebuiltins>"
             continue
         if "site-packages" not in path.parts and (path.parent != here or path.name == "library.py"):
             return f"{path.name}, line {frame.lineno}"
@@ -284,6 +286,6 @@ def _failing_line(error: BaseException) -> str:
 _OF_MOTION = (
     "friction", "drag", "stretch", "force", "blade", "inertia", "compliance", "remember", "measured", "delay",
 )  # fmt: skip
-"""Methods of what changes how objects move, or what is seen of it."""
+"""Methods that change the motion of objects, or how it is measured."""
 
-_LONGEST = 400  # characters of what an error in an effect's code may say
+_LONGEST = 400  # characters kept of an error message from an effect's code

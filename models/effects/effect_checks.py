@@ -1,4 +1,4 @@
-"""Checks of an effect before it is used: declared as it must be, nothing at its null, finite elsewhere."""
+"""Checks of an effect before use: correctly declared, vanishing at its null, finite elsewhere."""
 
 import difflib
 import inspect
@@ -28,13 +28,13 @@ Values = dict[sp.Symbol, float]
 
 FORMULAS = tuple(QUANTITIES)
 
-# Pushes as they may have been recorded: places, sizes and weights that differ.
+# Plausible recordings with different places, sizes and weights.
 _SCENES = (
     Scene((0.0, 0.0), 0.12, 0.07, 0.05, 20, 5.0),
     Scene((0.6, -0.2), 0.3, 0.15, 0.1, 8, 20.0),
     Scene((-1.2, 1.0), 0.05, 0.03, 0.02, 3, 1.0),
 )
-# An object that could be, its cells and its push, in SI units.
+# A plausible object, its cells and its push, in SI units.
 _FIXED = {
     "m": 1.0, "J": 0.02, "s_x": 0.03, "s_y": -0.02, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0,
     "c_x": 0.02, "c_y": -0.01, "g_xx": 300.0, "g_xy": 40.0, "g_yy": 500.0, "time": 0.4, "order": 2.0,
@@ -48,7 +48,7 @@ def check_effect(effect: Effect, where: str) -> None:
         where: file, line and class, for the message.
 
     Raises:
-        EffectError: what is wrong and what to do.
+        EffectError: says what is wrong and what to do.
     """
     try:
         check_declaration(effect)
@@ -62,15 +62,15 @@ def check_effect(effect: Effect, where: str) -> None:
 
 
 def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
-    """Refuse formulas, as those without a `return`, that are the same whatever the parameters are."""
+    """Refuse formulas that do not depend on the parameters, such as those without a `return`."""
     outputs = [*slots.body, *slots.cell, *slots.reports, *slots.renewed]
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
     names = [p.name for p in effect.parameters if p.null is not None]
     if not within & {parameter_name(effect.name, name) for name in names}:
         written = [f"{name}()" for name in FORMULAS if _overrides(type(effect), name)]
         raise EffectError(
-            f"what {' and '.join(written)} return does not depend on {' or '.join(names)}: a formula without"
-            " `return` gives nothing (None), and one without a parameter is no effect"
+            f"what {' and '.join(written)} return does not depend on {' or '.join(names)}: a formula needs a"
+            " `return`, and at least one parameter in it"
         )
 
 
@@ -108,8 +108,8 @@ def _check_values(effect: Effect, slots: Slots) -> None:
             place = _singular_point(outputs, states, values, rng)
             if place is not None:
                 raise EffectError(
-                    f"the formula has no value at {_listed(place)}: it divides by what is 0 there; keep"
-                    " that away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
+                    f"the formula has no value at {_listed(place)}: a divisor is 0 there; keep it away from"
+                    " 0, as in sqrt(x**2 + y**2 + 0.01**2)"
                 )
         if null:
             true = [values.get(real(name), 0.0) for name in (*POSE_SYMBOLS, *PUSH_SYMBOLS)]
@@ -119,8 +119,8 @@ def _check_values(effect: Effect, slots: Slots) -> None:
 def _check_vanished(
     effect: Effect, results: Sequence[float], slots: Slots, pose: Sequence[float], push: Sequence[float]
 ) -> None:
-    """Refuse values at the null that differ from those without effects, as `_check_values` orders them."""
-    # A blade is nothing where its force is nothing, wherever it stands.
+    """Refuse values at the null that differ from the plain model's, in the order of `_check_values`."""
+    # A blade without force vanishes, wherever it is.
     blade, pyramid = (0, None, None, None), (1, 0, None, None)
     wrench, cell = (0, 0, 0), (1, 0, 1, 0, 1)
     inertia, compliance, delay = 1, 0, 0
@@ -138,7 +138,7 @@ def _check_vanished(
 
 
 def _check_slopes(effect: Effect, slots: Slots) -> None:
-    """Refuse formulas without a finite derivative where an object lies still, as every push begins."""
+    """Refuse formulas without a finite derivative at rest, where every push begins."""
     rng = np.random.default_rng(1)
     parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
     remembered = (memory_name(effect.name, name) for name in effect.memory)
@@ -160,15 +160,15 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
             finite = bool(np.isfinite([float(value) for value in found]).all())
         except (ArithmeticError, ValueError):
             finite = False
-        except Exception as error:  # of SymPy, which cannot write every function as code
+        except Exception as error:  # SymPy cannot write every function as code
             raise EffectError(
-                f"the formula's derivative by {symbol} cannot be computed: {type(error).__name__}:"
-                f" {' '.join(str(error).split())[:200]}"
+                f"the formula's derivative with respect to {symbol} cannot be computed:"
+                f" {type(error).__name__}: {' '.join(str(error).split())[:200]}"
             ) from error
         if not finite:
             raise EffectError(
-                f"the formula has no derivative where the object lies still ({_listed(at_rest)}): keep what"
-                " stands under a root away from 0, as in sqrt(vx**2 + vy**2 + 1e-4**2)"
+                f"the formula has no finite derivative at rest ({_listed(at_rest)}): keep the argument of a"
+                " square root away from 0, as in sqrt(vx**2 + vy**2 + 1e-4**2)"
             )
 
 
@@ -176,25 +176,27 @@ def check_declaration(effect: Effect) -> None:
     """Refuse an effect whose class is declared wrongly.
 
     Raises:
-        EffectError: what is wrong and what to do.
+        EffectError: says what is wrong and what to do.
     """
     _check_methods(type(effect))
     for attribute in ("name", "sentence", "parameters"):
         if not getattr(effect, attribute, None):
             raise EffectError(f"it has no {attribute}")
     if not (isinstance(effect.name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", effect.name)):
-        raise EffectError(f"name {effect.name!r} must be lower case letters, digits and underscores")
+        raise EffectError(
+            f"name {effect.name!r} must be lower-case letters, digits and underscores, a letter first"
+        )
     if not isinstance(effect.sentence, str):
         raise EffectError(f"sentence must be text, got {effect.sentence!r}")
     memory = effect.memory
     if not (
         isinstance(memory, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in memory)
     ):
-        raise EffectError(f'memory must be a tuple of names, as ("lag_x", "lag_y"), got {memory!r}')
+        raise EffectError(f'memory must be a tuple of names, such as ("lag_x", "lag_y"), got {memory!r}')
     taken = [name for name in effect.memory if name in cell_names(body_names({})) or name in FORCE_NAMES]
     if taken or len(set(effect.memory)) < len(effect.memory):
         raise EffectError(
-            f"memory {effect.memory}: every name must be given once, and not be one that body or cell have"
+            f"memory {effect.memory}: each name must occur once, and not be one that body or cell has"
         )
     if not isinstance(effect.parameters, tuple | list):
         raise EffectError(f"parameters must be a tuple of Parameter, got {effect.parameters!r}")
@@ -205,25 +207,26 @@ def check_declaration(effect: Effect) -> None:
         if problem:
             raise EffectError(f"parameter {parameter.name}: {problem}")
     if len({parameter.name for parameter in effect.parameters}) < len(effect.parameters):
-        raise EffectError("two parameters have one name")
+        raise EffectError("two parameters have the same name")
     if not effect.amplitudes.any():
         raise EffectError("no parameter has a null; give one a value at which the effect vanishes (null=0.0)")
 
 
 def check_starts(effect: Effect) -> None:
-    """Refuse guesses that fail, are no numbers, or leave their parameter's range wherever the pushes were.
+    """Refuse guesses that fail, are not numbers, or always leave their parameter's range.
 
     Raises:
-        EffectError: what is wrong and what to do.
+        EffectError: says what is wrong and what to do.
     """
     given = [effect.guesses(scene) for scene in _SCENES]
     for parameter in effect.parameters:
         values = [[guess.get(parameter.name, parameter.center) for guess in scene] for scene in given]
-        # Places follow the pushes, and a range may be meant for those of one table.
+        # Guessed places follow the pushes, and a range may be meant for one table: only a guess that is out
+        # of range in every scene is wrong.
         if all(any(not parameter.low <= v <= parameter.high for v in scene) for scene in values):
             beyond = next(v for v in values[0] if not parameter.low <= v <= parameter.high)
             raise EffectError(
-                f"starts() gives {parameter.name} = {beyond:g}; it must lie within {parameter.low:g} and"
+                f"starts() gives {parameter.name} = {beyond:g}; it must lie between {parameter.low:g} and"
                 f" {parameter.high:g}"
             )
 
@@ -237,7 +240,7 @@ def _check_methods(kind: type[Effect]) -> None:
         near = difflib.get_close_matches(name, methods, n=1)
         hint = f"did you mean {near[0]}()?" if near else f"there are {', '.join(methods)}."
         raise EffectError(
-            f"{name}() is no method of an effect; {hint} A helper's name begins with an underscore"
+            f"{name}() is not a method of an effect; {hint} Begin a helper's name with an underscore"
         )
     if not any(_overrides(kind, name) for name in FORMULAS):
         raise EffectError(f"it has no formula; write one or more of {', '.join(FORMULAS)}")
@@ -264,15 +267,15 @@ def _faulty(parameter: Parameter) -> str | None:
     if not parameter.scale > 0:
         return f"scale must be positive, got {parameter.scale}"
     if not low <= parameter.center <= high:
-        return f"its null or start {parameter.center} must lie within {low} and {high}"
-    # A start that was not given is 0; one besides a null means nothing, but must not be a slip either.
+        return f"its null or start {parameter.center} must lie between {low} and {high}"
+    # The default start is 0. A start beside a null has no use, but one out of range is likely a mistake.
     if parameter.start != 0 and not low <= parameter.start <= high:
-        return f"its start {parameter.start} must lie within {low} and {high}"
+        return f"its start {parameter.start} must lie between {low} and {high}"
     unknown = set(re.findall(r"[a-zA-Z]+", parameter.unit)) - _KNOWN_UNITS
     if not _UNITS.fullmatch(parameter.unit) or unknown:
         return (
-            f"unit {parameter.unit!r} is not SI as slipmap writes it: 1, m, s, N/m, rad/s, N s/m^3 …"
-            f" from {', '.join(sorted(_KNOWN_UNITS))}"
+            f"unit {parameter.unit!r} is not SI as slipmap writes it, such as 1, m, s, N/m, rad/s, N s/m^3;"
+            f" build it from {', '.join(sorted(_KNOWN_UNITS))}"
         )
     return None
 
@@ -282,9 +285,9 @@ _KNOWN_UNITS = {"m", "s", "kg", "N", "rad", "push", "J", "W", "Hz", "Pa"}
 
 
 _STARTS = 4  # random states from which each zero is searched
-_ZERO = 1e-10  # a divisor so small, against its size elsewhere, is a zero
-_HUGE = 1e6  # times its size elsewhere; a value beyond is none
-_DIGITS = 6  # decimals of a zero; most zeros are where a state is nothing, or equal to a parameter
+_ZERO = 1e-10  # a divisor that is smaller relative to its size elsewhere counts as zero
+_HUGE = 1e6  # a value this many times larger than elsewhere counts as none
+_DIGITS = 6  # decimals of a zero; at most zeros a state is 0 or equals a parameter
 
 
 def _singular_point(
@@ -294,15 +297,15 @@ def _singular_point(
 
     Args:
         outputs: formulas.
-        states: symbols that may have any value.
-        values: of all symbols, states included; the others keep theirs. At these all outputs are finite.
-        rng: of the states from which zeros are searched.
+        states: symbols that may take any value.
+        values: of all symbols including states, at which all outputs are finite; the others keep theirs.
+        rng: draws the states from which zeros are searched.
     """
     usual = 1.0 + max(abs(_value(entry, values)) for entry in outputs)
     moving = [state for state in states if str(state).startswith("v_")]
     for divisor in _divisors(outputs):
         users = [entry for entry in outputs if entry.has(divisor)]
-        # First at rest: a place at which an object lies says more than one that it passes.
+        # Search at rest first: a place where an object rests says more than one that it passes.
         at_rest = [state for state in moving if state in divisor.free_symbols]
         for still in [at_rest, []] if at_rest else [[]]:
             begin = {**values, **dict.fromkeys(still, 0.0)}
@@ -321,7 +324,7 @@ def _singular_point(
 
 
 def _divisors(outputs: Sequence[sp.Expr]) -> list[sp.Expr]:
-    """What outputs divide by or take the logarithm of, unless it is always positive."""
+    """Arguments of quotients and logarithms in the outputs, unless always positive."""
     found = []
     for entry in outputs:
         for node in sp.preorder_traversal(entry):
@@ -332,7 +335,7 @@ def _divisors(outputs: Sequence[sp.Expr]) -> list[sp.Expr]:
 
 
 def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-untyped-def]
-    """Where a function of states vanishes, searched from `start`; None where it does not."""
+    """States at which a function vanishes, searched from `start`; None if none is found."""
 
     def size(place: np.ndarray) -> float:
         try:
@@ -342,7 +345,7 @@ def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-
 
     if len(start) == 0 or size(start) == 0.0:
         return start if size(start) == 0.0 else None
-    from scipy.optimize import minimize  # needed for new formulas alone, and slow to import
+    from scipy.optimize import minimize  # needed only for new formulas, and slow to import
 
     options = {"xatol": 1e-12, "fatol": 1e-24, "maxiter": 400 * len(start)}
     best = minimize(size, start, method="Nelder-Mead", options=options)

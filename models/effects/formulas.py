@@ -1,7 +1,7 @@
-"""Formulas of effects: asked of their methods, summed up, and written as source that the kernels call.
+"""Collects the formulas of effects, sums them up and writes them as source code that the kernels call.
 
-All formulas become expressions of y and the constants (see `slipmap.models.physics.friction`); common
-subexpressions are taken out, those that do not depend on the cell in front of the loop over cells.
+All formulas become expressions of y and the constants (see `slipmap.models.physics.friction`). Common
+subexpressions are factored out, and those that do not depend on the cell move out of the loop over cells.
 """
 
 from collections.abc import Sequence
@@ -33,12 +33,12 @@ from slipmap.models.effects.symbols import (
 
 
 class Slots:
-    """Everything that some effects change, summed up, as SymPy expressions.
+    """The combined changes of several effects, as SymPy expressions.
 
     Attributes:
         parameters: symbols of all parameters.
-        memory: symbols of what is carried along; empty, or the last force and the effects' own.
-        y: all that the formulas are differentiated by.
+        memory: symbols carried from step to step: none, or the last force and the effects' own.
+        y: symbols with respect to which the formulas are differentiated.
         body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade, then those of pyramids.
         factor: of a cell's friction.
         drag: of a cell.
@@ -126,18 +126,18 @@ class Slots:
         if strangers:
             names = ", ".join(e.name for e in effects)
             raise EffectError(
-                f"effects {names}: the formula holds symbols that are neither its parameters nor given to"
+                f"effects {names}: the formula uses symbols that are neither its parameters nor given to"
                 f" it: {', '.join(sorted(map(str, strangers)))}"
             )
 
     @property
     def cell(self) -> list[Any]:
-        """Everything that is changed of a cell: factor, drag, stretch."""
+        """Changes of a cell: factor, drag, stretch."""
         return [self.factor, self.drag, *self.stretch]
 
     @property
     def reports(self) -> list[Any]:
-        """Everything that the sensors change: pose and its delay, force and its delay."""
+        """Reports of the sensors: pose and its delay, force and its delay."""
         return [*self.measured, self.delay, *self.felt, self.force_delay]
 
 
@@ -170,13 +170,15 @@ from numba import cfunc, types
 _P = types.CPointer(types.float64)
 '''
 
-# What the compiler may do to sums and quotients, so that several cells are computed at once.
+# Liberties that the compiler may take with sums and quotients to vectorise over cells.
 _FAST = ("arcp", "contract", "nsz", "reassoc")
 
 
 class _Printer(PythonCodePrinter):
-    """Writes powers so that the compiler computes those of several cells at once: fourth and eighth roots as
-    square roots of square roots, negative powers as quotients."""
+    """Writes powers so that the compiler can vectorise them over cells.
+
+    Fourth and eighth roots become nested square roots, negative powers become quotients.
+    """
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
         exponent = expr.exp
@@ -191,17 +193,17 @@ class _Printer(PythonCodePrinter):
 
 
 def derivative(expression: Any, symbol: sp.Symbol) -> Any:
-    """Derivative of a formula, jumps of absolute values and cases left out."""
+    """Derivative of a formula; jumps in absolute values and cases are ignored."""
     result = sp.diff(expression, symbol).replace(sp.DiracDelta, lambda *_: sp.Integer(0))
     return result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs) else result
 
 
 Targets = Sequence[tuple[str, Any]]
-"""Left sides of assignments, and the expressions that are assigned."""
+"""Left sides of assignments, and the expressions assigned to them."""
 
 
 def _slopes(place: str, expressions: Sequence[Any], symbols: Sequence[Any]) -> list[tuple[str, Any]]:
-    """Targets for derivatives that are not 0; `place` names row k and column j, or `at` if stored flat."""
+    """Targets for the nonzero derivatives; `place` names row k and column j, or `at` if stored flat."""
     return [
         (f"{place.format(k=k, j=j, at=k * len(symbols) + j)} =", slope)
         for k, expression in enumerate(expressions)
@@ -211,7 +213,7 @@ def _slopes(place: str, expressions: Sequence[Any], symbols: Sequence[Any]) -> l
 
 
 def _assignments(printer: Any, targets: Targets, loop: set[sp.Symbol]) -> tuple[list[str], list[str]]:
-    """Lines that assign expressions to targets: those in front of the loop over cells, and those in it."""
+    """Lines that assign expressions to targets: those before the loop over cells, and those inside it."""
     steps, reduced = sp.cse([e for _, e in targets], symbols=sp.numbered_symbols("t"), order="none")
     before: list[str] = []
     within: list[str] = []
@@ -229,16 +231,16 @@ def _assignments(printer: Any, targets: Targets, loop: set[sp.Symbol]) -> tuple[
 
 
 def _straight(printer: Any, targets: Targets) -> list[str]:
-    """Lines that assign expressions to targets, where no loop is."""
+    """Lines that assign expressions to targets outside any loop."""
     before, within = _assignments(printer, targets, set())
     return before + [line[4:] for line in within]
 
 
 def _function(name: str, arguments: str, slots: Slots, lines: Sequence[str]) -> str:
-    """A function for the kernels whose first arguments are y and the constants."""
+    """Source of a function for the kernels whose first arguments are y and the constants."""
     kinds = ", ".join(["_P"] * (arguments.count(",") + 1))
     fast = ", ".join(map(repr, _FAST))
-    # Division by zero gives infinity, which the kernel notices; checks would be branches in the loop.
+    # Division by zero gives infinity, which the kernel notices; checks would add branches to the loop.
     decorator = f'@cfunc(types.void({kinds}), cache=True, error_model="numpy", fastmath={{{fast}}})'
     read = [f"    {symbol} = y[{k}]" for k, symbol in enumerate(slots.y)]
     read += [f"    {name} = c[{k}]" for k, name in enumerate(CONSTANT_NAMES)]
@@ -246,10 +248,10 @@ def _function(name: str, arguments: str, slots: Slots, lines: Sequence[str]) -> 
 
 
 def module_source(effects: Sequence[Effect]) -> str:
-    """Source of the module for some effects; its names are those that `slipmap.models.effects.program` loads.
+    """Source of the module for some effects, with the names that `slipmap.models.effects.program` loads.
 
-    Functions that the kernel, by `SIZES`, does not call are left out: each takes a tenth of a second to
-    compile.
+    Functions that the kernel does not call according to `SIZES` are left out: each takes a tenth of a second
+    to compile.
     """
     slots = Slots(effects)
     printer = _Printer({"fully_qualified_modules": True})
@@ -276,7 +278,7 @@ def module_source(effects: Sequence[Effect]) -> str:
 
 
 def _cell_functions(slots: Slots, printer: Any) -> str:
-    """The functions `cells` and `cell_slopes`."""
+    """Source of the functions `cells` and `cell_slopes`."""
     loop = {real("r_x"), real("r_y")}
     start = ["    for i in range(int(n)):", "        r_x = rx[i]", "        r_y = ry[i]"]
     targets = [("factor[i] =", slots.factor), ("drag[i] =", slots.drag)]
@@ -286,7 +288,8 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
     arguments = "y, c, rx, ry, factor, drag, qxx, qxy, qyy"
     text = _function("cells", arguments, slots, [*before, *start, *within])
 
-    # What a cell has that changes: the array of the gradient's derivatives by it, its place there.
+    # Quantities of a cell that change: the array of the gradient's derivatives with respect to them, the
+    # index there, the formula.
     changed = [("gl", 0, slots.factor), ("gd", 0, slots.drag)]
     changed += [("gq", q, e) for q, e in enumerate(slots.stretch) if slots.stretches]
     changed = [entry for entry in changed if entry[2].free_symbols & {*slots.y}]
@@ -297,7 +300,7 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
         for name, place, _ in changed
         for a in range(3)
     ]
-    # Summed up in numbers of their own: what is stored within a loop, the compiler does not compute at once.
+    # Sums go to local variables: the compiler does not vectorise loops that store to memory.
     lines = [
         *(f"    {line}" for line in [*code.before, *(f"{name} = 0.0" for name in code.sums)]),
         *start,
@@ -308,7 +311,7 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
 
 
 def _memory_function(slots: Slots, printer: Any) -> str:
-    """The function `memory`."""
+    """Source of the function `memory`."""
     read = [f"    {name} = after[{k}]" for k, name in enumerate(AFTER_SYMBOLS)]
     targets = [(f"own[{k}] =", e) for k, e in enumerate(slots.renewed)]
     targets += _slopes("down[{at}]", slots.renewed, [*slots.y, *map(real, AFTER_SYMBOLS)])
@@ -316,8 +319,11 @@ def _memory_function(slots: Slots, printer: Any) -> str:
 
 
 def _report(name: str, formulas: Sequence[Any], true: Sequence[str], parameters: Sequence[Any]) -> str:
-    """A function for numpy of true numbers (…,) and parameters: what a sensor reports of them (…, n), and its
-    derivatives by the true numbers (…, n, n) and by the parameters (…, n, P)."""
+    """Source of a NumPy function from true values (…,) and parameters to a sensor's report (…, n).
+
+    It also returns the report's derivatives with respect to the true values (…, n, n) and the parameters
+    (…, n, P).
+    """
     n, P = len(formulas), len(parameters)
     targets = [(f"out[..., {k}] =", e) for k, e in enumerate(formulas)]
     targets += _slopes("by_true[..., {k}, {j}]", formulas, [real(symbol) for symbol in true])
@@ -338,7 +344,7 @@ def _report(name: str, formulas: Sequence[Any], true: Sequence[str], parameters:
 
 
 def _delay(name: str, delay: Any, parameters: Sequence[Any]) -> str:
-    """A function of the parameters: a delay and its derivatives (P,)."""
+    """Source of a function from the parameters to a delay and its derivatives (P,)."""
     printer = NumPyPrinter({"fully_qualified_modules": True})
     lines = ["", "", f"def {name}(p):"]
     lines += [f"    {symbol} = p[{k}]" for k, symbol in enumerate(parameters)]

@@ -1,4 +1,4 @@
-"""The effects that slipmap knows, one small class each; formulas are in the symbols of `symbols.py`."""
+"""The library of effects, one small class each; their formulas use the symbols of `symbols.py`."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ class SensorLatency(Effect):
     name = "sensor_latency"
     belongs_to = "tracker"
     sentence = "The tracker reports the object's pose late."
-    parameters = (Parameter("latency", "s", "by how much the tracker is late", -0.3, 0.5, 0.03, 0.0),)
+    parameters = (Parameter("latency", "s", "delay of the tracker", -0.3, 0.5, 0.03, 0.0),)
 
     def delay(self, p: Any) -> Any:
         return p.latency
@@ -22,9 +22,9 @@ class TrackerOffset(Effect):
     name = "tracker_offset"
     sentence = "The tracked frame is not the object frame."
     parameters = (
-        Parameter("x", "m", "where the tracked frame sits in the object frame", -0.1, 0.1, 3e-3, 0.0),
-        Parameter("y", "m", "the same, y", -0.1, 0.1, 3e-3, 0.0),
-        Parameter("angle", "rad", "by how much it is turned", -0.6, 0.6, 0.02, 0.0),
+        Parameter("x", "m", "x of the tracked frame in the object frame", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("y", "m", "y of the tracked frame in the object frame", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("angle", "rad", "rotation of the tracked frame", -0.6, 0.6, 0.02, 0.0),
     )
 
     def measured(self, pose: Any, p: Any) -> Any:
@@ -37,7 +37,7 @@ class TrackerScale(Effect):
     belongs_to = "tracker"
     sentence = "The tracker's lengths are off by a few percent."
     parameters = (
-        Parameter("excess", "1", "reported lengths above true ones, as a share", -0.3, 0.3, 0.01, 0.0),
+        Parameter("excess", "1", "relative excess of reported over true lengths", -0.3, 0.3, 0.01, 0.0),
     )
 
     def measured(self, pose: Any, p: Any) -> Any:
@@ -48,13 +48,13 @@ class TrackerShift(Effect):
     name = "tracker_shift"
     belongs_to = "tracker"
     sentence = (
-        "Tracker and finger are not in one frame: the tracker is shifted or turned in the world, or the"
+        "Tracker and finger do not share a frame: the tracker is shifted or rotated in the world, or the"
         " finger's recorded point is off its centre."
     )
     parameters = (
-        Parameter("x", "m", "reported place less the true one, seen from the finger", -0.1, 0.1, 3e-3, 0.0),
-        Parameter("y", "m", "the same, y", -0.1, 0.1, 3e-3, 0.0),
-        Parameter("angle", "rad", "turn of the tracker about the world's origin", -0.6, 0.6, 0.01, 0.0),
+        Parameter("x", "m", "reported minus true x, relative to the finger", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("y", "m", "reported minus true y, relative to the finger", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("angle", "rad", "rotation of the tracker about the world's origin", -0.6, 0.6, 0.01, 0.0),
     )
 
     def measured(self, pose: Any, p: Any) -> Any:
@@ -65,11 +65,11 @@ class TrackerShift(Effect):
 class ForceFrame(Effect):
     name = "force_frame"
     belongs_to = "force sensor"
-    sentence = "The force sensor's axes are not the world's: its force is turned or mirrored."
+    sentence = "The force sensor's axes are not aligned with the world's: its force is rotated or mirrored."
     parameters = (
-        Parameter("angle", "rad", "turn of the reported force", -3.5, 3.5, 0.3, 0.0),
+        Parameter("angle", "rad", "rotation of the reported force", -3.5, 3.5, 0.3, 0.0),
         Parameter(
-            "mirror", "1", "1: y is negated before the turn; between, it is weakened", 0.0, 1.0, 0.3, 0.0
+            "mirror", "1", "1: y is negated before the rotation; below 1, weakened", 0.0, 1.0, 0.3, 0.0
         ),
     )
 
@@ -89,10 +89,10 @@ class ForceFrame(Effect):
 class ForceBias(Effect):
     name = "force_bias"
     belongs_to = "force sensor"
-    sentence = "The force sensor adds a constant force: it was not zeroed."
+    sentence = "The force sensor was not zeroed: it adds a constant force."
     parameters = (
-        Parameter("x", "N", "force that is added", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
-        Parameter("y", "N", "the same, y", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
+        Parameter("x", "N", "added force along x", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
+        Parameter("y", "N", "added force along y", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
     )
 
     def felt(self, force: Any, p: Any) -> Any:
@@ -102,15 +102,21 @@ class ForceBias(Effect):
 class ForceGains(Effect):
     name = "force_gains"
     belongs_to = "force sensor"
-    sentence = "The force sensor's axes have gains that differ."
+    sentence = "The force sensor's axes have different gains."
     parameters = (
         Parameter(
-            "excess", "1", "gain of x above the mean, as a share; of y as much below", -0.9, 0.9, 0.3, 0.0
+            "excess",
+            "1",
+            "relative excess of x's gain over the mean; y's is as much below",
+            -0.9,
+            0.9,
+            0.3,
+            0.0,
         ),
     )
 
     def felt(self, force: Any, p: Any) -> Any:
-        # A gain that both have in common is the same as another friction.
+        # A gain common to both axes would be the same as different friction.
         return (1 + p.excess) * force.x, (1 - p.excess) * force.y
 
 
@@ -118,7 +124,7 @@ class ForceLatency(Effect):
     name = "force_latency"
     belongs_to = "force sensor"
     sentence = "The force sensor reports late."
-    parameters = (Parameter("latency", "s", "by how much the force is late", -0.3, 0.5, 0.03, 0.0),)
+    parameters = (Parameter("latency", "s", "delay of the force sensor", -0.3, 0.5, 0.03, 0.0),)
 
     def force_delay(self, p: Any) -> Any:
         return p.latency
@@ -127,10 +133,10 @@ class ForceLatency(Effect):
 class ViscousFriction(Effect):
     name = "viscous_friction"
     belongs_to = "table"
-    sentence = "A drag in proportion to speed and area, as from a film of oil, comes on top of dry friction."
+    sentence = "Drag proportional to speed and area, as from an oil film, adds to dry friction."
     parameters = (
         Parameter(
-            "drag_per_area", "N s/m^3", "drag per speed and area", 0.0, 1e6, 100.0, 0.0, weight_power=1.0
+            "drag_per_area", "N s/m^3", "drag per unit speed and area", 0.0, 1e6, 100.0, 0.0, weight_power=1.0
         ),
     )
 
@@ -143,9 +149,9 @@ class StribeckFriction(Effect):
     belongs_to = "table"
     sentence = "Friction falls with speed from a static to a kinetic level."
     parameters = (
-        Parameter("excess", "1", "static friction above kinetic, as a share of it", 0.0, 3.0, 0.3, 0.0),
-        Parameter("speed", "m/s", "speed by which most of it is lost", 0.002, 0.5, 0.03, start=0.04),
-        Parameter("shape", "1", "1: lost from the start on; 2: held, then lost", 1.0, 2.0, 0.5, start=1.5),
+        Parameter("excess", "1", "relative excess of static over kinetic friction", 0.0, 3.0, 0.3, 0.0),
+        Parameter("speed", "m/s", "speed by which most of the excess is lost", 0.002, 0.5, 0.03, start=0.04),
+        Parameter("shape", "1", "1: falls at once; 2: holds at first, then falls", 1.0, 2.0, 0.5, start=1.5),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:
@@ -158,17 +164,19 @@ class StribeckFriction(Effect):
 def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
     """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, where ρ = hypot(a, b).
 
-    The first is at the angle atan2(b, a)/2; friction along these directions is their square roots times
-    Coulomb's.
+    The first eigenvector is at the angle atan2(b, a)/2. Friction along each eigenvector is Coulomb's times
+    the square root of its eigenvalue.
     """
     square = a**2 + b**2
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
 
 def _grain(along_x: str, along_xy: str) -> tuple[Parameter, Parameter]:
-    """Parameters a and b of `_ellipse`, with where they raise friction."""
+    """Parameters a and b of `_ellipse`; the arguments say along which direction each raises friction."""
     return (
-        Parameter("along_x", "1", f"grain a: friction is higher along {along_x}", -0.6, 0.6, 0.1, 0.0),
+        Parameter(
+            "along_x", "1", f"grain a: positive if friction is higher along {along_x}", -0.6, 0.6, 0.1, 0.0
+        ),
         Parameter("along_xy", "1", f"grain b: the same along {along_xy}", -0.6, 0.6, 0.1, 0.0),
     )
 
@@ -177,7 +185,7 @@ class AnisotropicTable(Effect):
     name = "anisotropic_table"
     belongs_to = "table"
     sentence = "Friction differs along and across the table's grain."
-    parameters = _grain("x and lower along y where positive", "the diagonals")
+    parameters = _grain("x than along y", "the diagonals")
 
     def stretch(self, cell: Any, p: Any) -> Any:
         c, s = cell.cos**2 - cell.sin**2, 2 * cell.cos * cell.sin
@@ -187,7 +195,7 @@ class AnisotropicTable(Effect):
 class AnisotropicObject(Effect):
     name = "anisotropic_object"
     sentence = "Friction differs along and across a grain of the object's underside."
-    parameters = _grain("the object's x where positive", "its diagonals")
+    parameters = _grain("the object's x", "its diagonals")
 
     def stretch(self, cell: Any, p: Any) -> Any:
         return _ellipse(p.along_x, p.along_xy)
@@ -198,8 +206,8 @@ class TableTilt(Effect):
     belongs_to = "table"
     sentence = "The table is not level: gravity has a component along it."
     parameters = (
-        Parameter("down_x", "rad", "slope along x, downhill where positive", -0.4, 0.4, 0.03, 0.0),
-        Parameter("down_y", "rad", "slope along y, downhill where positive", -0.4, 0.4, 0.03, 0.0),
+        Parameter("down_x", "rad", "slope along x, positive downhill", -0.4, 0.4, 0.03, 0.0),
+        Parameter("down_y", "rad", "slope along y, positive downhill", -0.4, 0.4, 0.03, 0.0),
     )
 
     def force(self, body: Any, p: Any) -> Any:
@@ -209,19 +217,19 @@ class TableTilt(Effect):
 class TableFrictionField(Effect):
     name = "table_friction_field"
     belongs_to = "table"
-    sentence = "Friction varies with the place on the table: a gradient, a patch, or both."
+    sentence = "Friction varies with the position on the table: a gradient, a patch, or both."
     parameters = (
-        Parameter("gradient_x", "1/m", "relative rise of friction along x", -8.0, 8.0, 1.0, 0.0),
-        Parameter("gradient_y", "1/m", "relative rise of friction along y", -8.0, 8.0, 1.0, 0.0),
-        Parameter("patch", "1", "logarithm of the factor on a round patch", -2.5, 2.5, 0.5, 0.0),
-        Parameter("patch_x", "m", "middle of the patch", -10.0, 10.0, 0.1),
-        Parameter("patch_y", "m", "middle of the patch", -10.0, 10.0, 0.1),
-        Parameter("patch_radius", "m", "its radius", 0.01, 2.0, 0.05, start=0.12),
+        Parameter("gradient_x", "1/m", "relative increase of friction along x", -8.0, 8.0, 1.0, 0.0),
+        Parameter("gradient_y", "1/m", "relative increase of friction along y", -8.0, 8.0, 1.0, 0.0),
+        Parameter("patch", "1", "logarithm of the friction factor on a round patch", -2.5, 2.5, 0.5, 0.0),
+        Parameter("patch_x", "m", "centre of the patch, x", -10.0, 10.0, 0.1),
+        Parameter("patch_y", "m", "centre of the patch, y", -10.0, 10.0, 0.1),
+        Parameter("patch_radius", "m", "radius of the patch", 0.01, 2.0, 0.05, start=0.12),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
-        # The share of a cell that lies inside, for an edge that is sharper than cells are small.
+        # Share of the cell inside the patch: the patch's edge is sharper than a cell is wide.
         inside = smooth_step(p.patch_radius - distance, cell.width)
         rise = 1 + p.gradient_x * cell.x + p.gradient_y * cell.y
         return positive_part(rise, 0.02) / positive_part(1, 0.02) * sp.exp(p.patch * inside)
@@ -237,14 +245,14 @@ class TableFrictionField(Effect):
 
 class Tether(Effect):
     name = "tether"
-    sentence = "A cable pulls the object towards a fixed point beyond its slack length."
+    sentence = "A cable, when taut, pulls the object towards a fixed point."
     parameters = (
-        Parameter("stiffness", "N/m", "of the cable", 0.0, 1e4, 1.0, 0.0, weight_power=1.0),
-        Parameter("anchor_x", "m", "where the cable is fixed", -2.0, 2.0, 0.3),
-        Parameter("anchor_y", "m", "where the cable is fixed", -2.0, 2.0, 0.3),
-        Parameter("slack", "m", "length at which it begins to pull", 0.0, 10.0, 0.1),
-        Parameter("point_x", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
-        Parameter("point_y", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
+        Parameter("stiffness", "N/m", "stiffness of the cable", 0.0, 1e4, 1.0, 0.0, weight_power=1.0),
+        Parameter("anchor_x", "m", "fixed end of the cable, x", -2.0, 2.0, 0.3),
+        Parameter("anchor_y", "m", "fixed end of the cable, y", -2.0, 2.0, 0.3),
+        Parameter("slack", "m", "length at which the cable becomes taut", 0.0, 10.0, 0.1),
+        Parameter("point_x", "m", "attachment to the object, x in the object frame", -1.0, 1.0, 0.03),
+        Parameter("point_y", "m", "attachment to the object, y in the object frame", -1.0, 1.0, 0.03),
     )
 
     def force(self, body: Any, p: Any) -> Any:
@@ -271,7 +279,7 @@ class Tether(Effect):
 class FrictionDrift(Effect):
     name = "friction_drift"
     sentence = "Friction changes from push to push, by wear or polishing."
-    parameters = (Parameter("rate", "1/push", "relative change of friction a push", -0.3, 0.3, 0.01, 0.0),)
+    parameters = (Parameter("rate", "1/push", "relative change of friction per push", -0.3, 0.3, 0.01, 0.0),)
 
     def friction(self, cell: Any, p: Any) -> Any:
         return sp.exp(p.rate * cell.order)
@@ -280,8 +288,12 @@ class FrictionDrift(Effect):
 class FingerCompliance(Effect):
     name = "finger_compliance"
     belongs_to = "finger"
-    sentence = "The finger bends: its true tip gives way to the contact force."
-    parameters = (Parameter("compliance", "m/N", "give of the tip", 0.0, 0.1, 4e-3, 0.0, weight_power=-1.0),)
+    sentence = "The finger bends: its true tip yields to the contact force."
+    parameters = (
+        Parameter(
+            "compliance", "m/N", "deflection of the tip per force", 0.0, 0.1, 4e-3, 0.0, weight_power=-1.0
+        ),
+    )
 
     def compliance(self, body: Any, p: Any) -> Any:
         return p.compliance
@@ -291,14 +303,14 @@ class LooseMass(Effect):
     name = "loose_mass"
     sentence = "Part of the mass moves inside the object, on a spring and damper."
     parameters = (
-        Parameter("share", "1", "loose part of the mass", 0.0, 0.9, 0.2, 0.0),
+        Parameter("share", "1", "loose share of the mass", 0.0, 0.9, 0.2, 0.0),
         Parameter("rate", "rad/s", "natural frequency of the loose part", 1.0, 120.0, 10.0, start=15.0),
-        Parameter("damping", "1", "its damping ratio", 0.0, 2.0, 0.2, start=0.2),
+        Parameter("damping", "1", "damping ratio of the loose part", 0.0, 2.0, 0.2, start=0.2),
     )
     memory = ("lag_x", "lag_y", "rush_x", "rush_y")
 
     def _pull(self, body: Any, p: Any) -> tuple[Any, Any]:
-        """Acceleration of the loose part by spring and damper, world; it lags behind by lag_x, lag_y."""
+        """World acceleration that spring and damper give the loose part, which lags by lag_x, lag_y."""
         return tuple(
             -(p.rate**2) * lag - 2 * p.damping * p.rate * rush
             for lag, rush in ((body.lag_x, body.rush_x), (body.lag_y, body.rush_y))
@@ -324,7 +336,7 @@ class LooseMass(Effect):
 
 class LoadTransfer(Effect):
     name = "load_transfer"
-    sentence = "Pushing above the table, and braking, shift the load between cells."
+    sentence = "Pushing above the table's surface and braking shift load between cells."
     parameters = (
         Parameter("push_height", "m", "height of the finger above the table", 0.0, 0.5, 0.03, 0.0),
         Parameter("mass_height", "m", "height of the centre of mass", 0.0, 0.5, 0.03, 0.0),
@@ -332,15 +344,15 @@ class LoadTransfer(Effect):
     memory = ("gain_x", "gain_y")
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # Moment per weight that the table has to answer by loading the cells in front.
+        # Moment per unit weight, which the table balances by loading the cells in front.
         mx = (p.push_height * cell.force_x - p.mass_height * cell.mass * cell.gain_x) / cell.weight
         my = (p.push_height * cell.force_y - p.mass_height * cell.mass * cell.gain_y) / cell.weight
         bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
         kx = cell.spread_xx * bx + cell.spread_xy * by
         ky = cell.spread_xy * bx + cell.spread_yy * by
         shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
-        # Cells that lift off carry nothing, and as much more is on those in front: the whole carries the
-        # weight. An eighth root is three square roots, which are taken of several cells at once.
+        # Cells that lift off carry nothing, and those in front carry that much more: the sum stays the
+        # weight. The eighth root is three square roots, which vectorise over cells.
         return 1 + shift / (1 + shift**8) ** sp.Rational(1, 8)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
@@ -352,12 +364,12 @@ class LoadTransfer(Effect):
 
 class Skate(Effect):
     name = "skate"
-    sentence = "A blade or wheel under the object rolls along one line and resists sideways motion."
+    sentence = "A blade or wheel under the object runs freely along one line and resists sideways motion."
     parameters = (
-        Parameter("resistance", "1", "sideways resistance as a share of the weight", 0.0, 3.0, 0.05, 0.0),
-        Parameter("angle", "rad", "direction in which it rolls, object frame", -7.0, 7.0, 0.4),
-        Parameter("point_x", "m", "where it touches the table, object frame", -1.0, 1.0, 0.03),
-        Parameter("point_y", "m", "where it touches the table, object frame", -1.0, 1.0, 0.03),
+        Parameter("resistance", "1", "sideways resistance divided by the weight", 0.0, 3.0, 0.05, 0.0),
+        Parameter("angle", "rad", "free direction, object frame", -7.0, 7.0, 0.4),
+        Parameter("point_x", "m", "contact with the table, x in the object frame", -1.0, 1.0, 0.03),
+        Parameter("point_y", "m", "contact with the table, y in the object frame", -1.0, 1.0, 0.03),
     )
 
     def blade(self, body: Any, p: Any) -> Any:
@@ -371,8 +383,8 @@ class ImpulseFriction(Effect):
     name = "impulse_friction"
     belongs_to = "table"
     sentence = (
-        "Friction is solved for as impulses along the world's x and y, as simulators do, and leans to the "
-        "one that meets more mass."
+        "Friction is solved as impulses along the world's x and y, as in simulators, and leans towards the "
+        "axis that meets more mass."
     )
     parameters = (
         Parameter(
@@ -381,9 +393,10 @@ class ImpulseFriction(Effect):
     )
 
     def _lean(self, cell: Any, p: Any) -> Any:
-        """d, for an impulse that meets masses in the ratio (1 + d) / (1 - d) along the world's x and y.
+        """d of an impulse that meets masses in the ratio (1 + d) / (1 - d) along the world's x and y.
 
-        It acts at an arm a from the centre of mass of an object with radius of gyration ρ.
+        The impulse acts at the arm (a_x, a_y) from the centre of mass of an object with radius of gyration ρ:
+        d = (a_x² - a_y²) / (2 ρ² + a_x² + a_y²), times the share.
         """
         arm_x = cell.cos * cell.rx - cell.sin * cell.ry - cell.com_x
         arm_y = cell.sin * cell.rx + cell.cos * cell.ry - cell.com_y
@@ -396,8 +409,8 @@ class ImpulseFriction(Effect):
         return 1 + along, -d * sp.sin(2 * cell.theta), 1 - along
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # The force leans but is no larger: μN Q u / |Q u|, with the direction of u as it was last. For a step
-        # from rest, or in which a cell turns, it is up to μN sqrt(1 + |d|), or down to μN sqrt(1 - |d|).
+        # The force leans without growing: μN Q u / |Q u|, with u's direction from before the step. In a step
+        # from rest or with a turning cell it lies between μN sqrt(1 - |d|) and μN sqrt(1 + |d|).
         d = self._lean(cell, p)
         norm2 = (1 + d) * cell.ux**2 + (1 - d) * cell.uy**2
         force2 = (1 + d) ** 2 * cell.ux**2 + (1 - d) ** 2 * cell.uy**2
@@ -408,11 +421,11 @@ class FrictionDiamond(Effect):
     name = "friction_diamond"
     belongs_to = "table"
     sentence = (
-        "Friction follows a pyramid instead of a cone, and is smaller on the diagonals of the world's axes,"
-        " as MuJoCo has it by default."
+        "Friction follows a pyramid instead of a cone, as in MuJoCo by default, and is smaller along the"
+        " diagonals of the world's axes."
     )
     parameters = (
-        Parameter("share", "1", "1: a pyramid; between, cone and pyramid in parts", 0.0, 1.0, 0.3, 0.0),
+        Parameter("share", "1", "1: a pyramid; below 1, a blend of cone and pyramid", 0.0, 1.0, 0.3, 0.0),
     )
 
     def pyramid(self, body: Any, p: Any) -> Any:
@@ -422,9 +435,11 @@ class FrictionDiamond(Effect):
 class FrictionSquare(Effect):
     name = "friction_square"
     belongs_to = "table"
-    sentence = "Friction along the world's x and y is solved each by itself, and is larger on the diagonals."
+    sentence = "Friction is solved separately along the world's x and y, and is larger along the diagonals."
     parameters = (
-        Parameter("share", "1", "1: two frictions; between, they and a cone in parts", 0.0, 1.0, 0.3, 0.0),
+        Parameter(
+            "share", "1", "1: two separate frictions; below 1, a blend with the cone", 0.0, 1.0, 0.3, 0.0
+        ),
     )
 
     def pyramid(self, body: Any, p: Any) -> Any:
@@ -433,14 +448,16 @@ class FrictionSquare(Effect):
 
 class SlipLoad(Effect):
     name = "slip_load"
-    sentence = "Cells that slip faster carry more: contacts of a simulator lift what slides over them."
+    sentence = "Cells that slip faster carry more load: a simulator's contacts lift what slides over them."
     parameters = (
-        Parameter("share", "1", "0: even; 1: as the square of slip, in a spin in place", -1.0, 3.0, 0.5, 0.0),
+        Parameter(
+            "share", "1", "0: even load; 1: load as slip squared, in a spin on the spot", -1.0, 3.0, 0.5, 0.0
+        ),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # The square of slip is quadratic in place. A part that rises evenly across the object would tip it;
-        # left is ω² (|r - r_com|² - ρ²), over the mean square. Its sum over the masses is 0.
+        # Squared slip is quadratic in position. Its linear part would tip the object and is left out, which
+        # leaves ω² (|r - r_com|² - ρ²) over the mean square; weighted by mass, it sums to 0.
         x, y = cell.cos * cell.rx - cell.sin * cell.ry, cell.sin * cell.rx + cell.cos * cell.ry
         apart2 = (x - cell.com_x) ** 2 + (y - cell.com_y) ** 2
         radius2 = cell.moment / cell.mass - cell.com_x**2 - cell.com_y**2 - cell.width**2 / 6
@@ -453,11 +470,11 @@ class SlipLoad(Effect):
 
 class TorsionalFriction(Effect):
     name = "torsional_friction"
-    sentence = "A torque resists every spin beside the friction of the cells, however the object slides."
-    parameters = (Parameter("radius", "m", "the torque over the object's weight", 0.0, 0.05, 2e-3, 0.0),)
+    sentence = "A torque resists rotation in addition to the cells' friction, however the object slides."
+    parameters = (Parameter("radius", "m", "torque divided by the object's weight", 0.0, 0.05, 2e-3, 0.0),)
 
     def blade(self, body: Any, p: Any) -> Any:
-        # A blade so far away that it feels nothing but spin: along 1e-3 of a unit vector, at an arm of 1 km.
+        # A blade so far away that it resists only spin: n is 1e-3 of a unit vector, at an arm of 1 km.
         return p.radius * body.weight, 1e-3, 0, 0, -1e3
 
 

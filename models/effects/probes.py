@@ -1,7 +1,8 @@
-"""Probes: what residuals may depend on when no effect of the library explains them.
+"""Probes: dependences that residuals may show when no effect of the library explains them.
 
 A probe is an effect without a name in physics: a flexible law of one argument. The diagnosis lets probes
-compete so that an unknown effect shows as `it depends on …` instead of being blamed on the nearest known one.
+compete so that an unknown effect shows up as `it depends on …` instead of being blamed on the nearest known
+effect.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple
 
 
 def _combined(p: Any, prefix: str, terms: Sequence[Any]) -> Any:
-    """Sum of terms times the amplitudes with this prefix."""
+    """Sum of the terms times the amplitudes with this prefix."""
     return sum(getattr(p, f"{prefix}{k}") * term for k, term in enumerate(terms))
 
 
@@ -32,7 +33,7 @@ def _factor(exponent: Any) -> Any:
 class ForceByPlace(Effect):
     name = "force_by_place"
     belongs_to = "table"
-    sentence = "A force on the object that depends on where on the table it is."
+    sentence = "A force on the object that depends on its position on the table."
     parameters = (*_amplitudes("x", 6, 0.03), *_amplitudes("y", 6, 0.03))
 
     def force(self, body: Any, p: Any) -> Any:
@@ -45,7 +46,7 @@ class ForceByPlace(Effect):
 class FrictionByPlace(Effect):
     name = "friction_by_place"
     belongs_to = "table"
-    sentence = "Friction that depends on where on the table the object is."
+    sentence = "Friction that depends on the position on the table."
     parameters = _amplitudes("a", 9, 0.2)
 
     def friction(self, cell: Any, p: Any) -> Any:
@@ -91,7 +92,7 @@ class FrictionByTime(Effect):
 
 class FrictionByOrder(Effect):
     name = "friction_by_order"
-    sentence = "Friction that depends on the place of the push in the experiment."
+    sentence = "Friction that changes from push to push."
     parameters = _amplitudes("a", 4, 0.2)
 
     def friction(self, cell: Any, p: Any) -> Any:
@@ -106,7 +107,7 @@ class ForceByTime(Effect):
     parameters = (
         *_amplitudes("x", 2, 0.03),
         *_amplitudes("y", 2, 0.03),
-        Parameter("rate", "rad/s", "of its oscillation", 0.2, 100.0, 2.0, start=3.0),
+        Parameter("rate", "rad/s", "angular frequency", 0.2, 100.0, 2.0, start=3.0),
     )
 
     def force(self, body: Any, p: Any) -> Any:
@@ -126,7 +127,7 @@ class ForceOnObject(Effect):
     def force(self, body: Any, p: Any) -> Any:
         fx = body.weight * (body.cos * p.f0 - body.sin * p.f1)
         fy = body.weight * (body.sin * p.f0 + body.cos * p.f1)
-        # t1 resists or helps rotation whatever its direction.
+        # t1 resists or helps rotation in either direction.
         spin = body.omega / sp.sqrt(body.omega**2 + np.pi**2 * 100 * REST_SPEED**2)
         return fx, fy, body.com_x * fy - body.com_y * fx + body.weight * (p.t0 - p.t1 * spin)
 
@@ -134,7 +135,7 @@ class ForceOnObject(Effect):
 class ForceBySpeed(Effect):
     name = "force_by_speed"
     belongs_to = "table"
-    sentence = "A force that depends on the object's velocity: along it, across it, or on its rotation."
+    sentence = "A force along or across the object's velocity that depends on its speed or rotation."
     parameters = _amplitudes("a", 4, 0.05)
 
     def force(self, body: Any, p: Any) -> Any:

@@ -1,8 +1,8 @@
-"""From the formulas of some effects to machine code: values and derivatives of all that the kernels ask for.
+"""Compiles the formulas of effects to machine code for the values and derivatives that the kernels need.
 
-The formulas are differentiated by SymPy, written as a small Python module into the folder of compiled
-kernels (`formulas.py`), and compiled there by numba once. Kernels call them by address, so that they need not
-be compiled anew for a new effect or combination.
+SymPy differentiates the formulas, `formulas.py` writes them as a small Python module into the cache folder of
+the kernels, and Numba compiles it once. Kernels call the functions by address, so a new effect or combination
+does not recompile them.
 """
 
 import hashlib
@@ -32,17 +32,17 @@ class Program:
     """Compiled formulas of some effects."""
 
     effects: tuple[Effect, ...]  # in the order of their parameters
-    # (4,) of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
+    # (4,) addresses of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
     addresses: NDArray[np.int64]
     sizes: NDArray[np.int64]  # (6,) as in `slipmap.models.physics.kernel_arguments.Formulas`
-    # x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by the
-    # true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them
+    # from x, y, θ (…,) and parameters to poses (…, 3) as the tracker reports them, and their derivatives with
+    # respect to the true pose (…, 3, 3) and the parameters (…, 3, P); None if no effect changes them
     measured: Report | None
-    # parameters to the tracker's delay and its derivative (P,); None where there is none
+    # from parameters to the tracker's delay and its derivative (P,); None if there is none
     delay: Delay | None
-    felt: Report | None  # the same of the finger's force: F_x, F_y (…,) to (…, 2)
-    force_delay: Delay | None  # and of its delay
-    module: ModuleType  # what holds the machine code; without it the addresses would lead nowhere
+    felt: Report | None  # like `measured`, for the finger's force: F_x, F_y (…,) to (…, 2)
+    force_delay: Delay | None  # like `delay`, for the finger's force
+    module: ModuleType  # holds the machine code; without it the addresses would be invalid
 
     @property
     def parameters(self) -> int:
@@ -56,10 +56,10 @@ class Program:
 
 
 def program_of(effects: Sequence[Effect]) -> Program:
-    """Compiled formulas of some effects, from memory or disk where they were compiled before.
+    """Compiled formulas of some effects, taken from memory or disk if compiled before.
 
     Raises:
-        EffectError: a formula raises an error or is no formula; names the effect, file and line.
+        EffectError: a formula fails or is not a SymPy expression; names the effect, file and line.
     """
     return _program_of(tuple(effects))
 
@@ -97,10 +97,10 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
 
 
 def _key(effects: Sequence[Effect]) -> str | None:
-    """Hash of all that the code is made from, or None where an effect is not slipmap's own.
+    """Hash of the sources of the code, or None if an effect is not slipmap's own.
 
-    The formulas of others may depend on more than the text of their file: on modules that it imports, or on
-    the arguments of a function that makes classes. There the written code itself is hashed.
+    A user's formulas may depend on more than the text of their file: on modules that it imports, or on the
+    arguments of a function that makes classes. For those the generated code itself is hashed.
     """
     here = Path(__file__).parent
     digest = hashlib.sha256()
@@ -119,7 +119,7 @@ def _key(effects: Sequence[Effect]) -> str | None:
 
 
 def _source(effects: Sequence[Effect]) -> str:
-    # SymPy takes a third of a second to import and is needed only for formulas that are new.
+    # SymPy takes a third of a second to import and is needed only for new formulas.
     from slipmap.models.effects.formulas import module_source
 
     return module_source(effects)

@@ -1,6 +1,6 @@
-"""SymPy functions that stand for themselves in formulas that people read.
+"""SymPy functions that stay unevaluated in formulas for readers.
 
-They lie apart because `symbols.py` makes them and loads SymPy only when a formula is first asked for.
+They have a module of their own so that `symbols.py` loads SymPy only when a formula is first needed.
 """
 
 from typing import Any
@@ -9,11 +9,11 @@ import sympy as sp
 
 
 class PositivePart(sp.Function):
-    """max(value, 0) in formulas that are read, unevaluated unless the value is a number."""
+    """max(value, 0) in formulas for readers, unevaluated unless the value is a number."""
 
     @classmethod
     def eval(cls, value: Any) -> Any:
-        """A number's positive part."""
+        """The positive part of a number; None leaves other values unevaluated."""
         return sp.Max(value, 0) if value.is_number else None
 
     def _latex(self, printer: Any, **_: Any) -> str:
@@ -24,7 +24,7 @@ class PositivePart(sp.Function):
 
 
 class SmoothStep(sp.Function):
-    """0 below -width and 1 above width, in formulas that are read."""
+    """0 below -width and 1 above width, in formulas for readers."""
 
     def _latex(self, printer: Any, **_: Any) -> str:
         value, width = (printer.doprint(argument) for argument in self.args)

@@ -1,4 +1,4 @@
-"""Effects by name: those of the library, and those that users bring in files of their own."""
+"""Effects by name: from the library and from users' own files."""
 
 import difflib
 import importlib.util
@@ -15,10 +15,10 @@ _LARGEST = 2**20  # bytes of a file with effects
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    r"""Effects that a Python file defines: one of each subclass of `Effect` in it, checked.
+    r"""Load the effects that a Python file defines: one of each subclass of `Effect` in it, checked.
 
     Raises:
-        EffectError: the file cannot be read or run, defines no effect, or one that is faulty; names file
+        EffectError: the file cannot be read or run, or defines no effect or a faulty one; names the file
             and line.
 
     Example:
@@ -44,7 +44,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     if null:  # Pythons before 3.11.4 name no line
         row = before.count(b"\n") + 1
         raise EffectError(f"effect file {path}, line {row}: it holds a null byte; save it as UTF-8 text")
-    # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for it.
+    # SymPy formulas are keyed by their file; another module of the same name must not be mistaken for it.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -58,7 +58,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         raise EffectError(f"effect file {path}{line}: {error.msg}") from error
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # as by sys.exit(), which would end the program without a word
+    except BaseException as error:  # sys.exit() would end the program silently
         said = failure(error)
         place = said.removeprefix(path.name) if said.startswith(f"{path.name}, line") else f": {said}"
         raise EffectError(f"effect file {path}{place}") from error
@@ -75,7 +75,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
 
 
 def _made(kind: type[Effect], path: Path) -> Effect:
-    """The effect of a class, checked."""
+    """An instance of an effect class, checked."""
     from slipmap.models.effects.effect_checks import check_effect
 
     where = f"{path}{_line_of(kind)}, class {kind.__name__}"
@@ -92,15 +92,15 @@ def _made(kind: type[Effect], path: Path) -> Effect:
 def _line_of(kind: type[Effect]) -> str:
     try:
         return f", line {inspect.getsourcelines(kind)[1]}"
-    except (OSError, TypeError):  # a class that was made without a `class` statement
+    except (OSError, TypeError):  # a class made without a `class` statement
         return ""
 
 
 def known_effects(files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:
-    """The library, and the effects of some files.
+    """The library's effects, followed by those of the given files.
 
     Raises:
-        EffectError: a file is faulty, or two effects have one name.
+        EffectError: a file is faulty, or two effects have the same name.
     """
     effects = list(LIBRARY)
     for path in files:
@@ -114,10 +114,10 @@ def known_effects(files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:
 
 
 def effects_named(names: Sequence[str], known: Sequence[Effect] = LIBRARY) -> tuple[Effect, ...]:
-    """Effects of some names, in that order.
+    """The effects with the given names, in that order.
 
     Raises:
-        EffectError: an unknown name, with the nearest known ones; or a name given twice.
+        EffectError: a name is unknown (the message suggests near ones) or given twice.
 
     Example:
         >>> import slipmap

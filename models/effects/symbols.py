@@ -1,6 +1,6 @@
-"""The symbols that effects write their formulas with, and functions that stay smooth where needed.
+"""Symbols for the formulas of effects, and smooth versions of functions with corners.
 
-Positions and velocities are those in the middle of a step, predicted from its start; so is `theta`.
+Positions and `theta` are predicted from the start of a step to its middle.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-# SymPy takes half a second to import, and is not needed where all formulas are compiled already.
+# SymPy takes half a second to import and is not needed if all formulas are compiled already.
 if TYPE_CHECKING:
     import sympy as sp
 else:
@@ -26,9 +26,9 @@ else:
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
 POSE_SYMBOLS = ("pose_x", "pose_y", "pose_theta")
-"""Names of the symbols of the true pose, of which the tracker reports another."""
+"""Names of the symbols of the true pose, which the tracker may misreport."""
 PUSH_SYMBOLS = ("push_x", "push_y")
-"""Names of the symbols of the finger's true force, of which the sensor reports another."""
+"""Names of the symbols of the finger's true force, which the sensor may misreport."""
 INERTIA_NAMES = ("m", "s_x", "s_y", "J")
 CONSTANT_NAMES = ("time", "h", "order", "gravity", "width", "c_x", "c_y", "g_xx", "g_xy", "g_yy", "n")
 
@@ -40,7 +40,7 @@ REST_SPEED = 1e-4
 
 
 class Names:
-    """Symbols by name; an unknown name is an error that lists the known ones."""
+    """Symbols as attributes; an unknown name raises an error that lists the known ones."""
 
     def __init__(self, what: str, values: Mapping[str, Any]) -> None:
         self.__dict__.update(values)
@@ -59,24 +59,24 @@ def real(name: str) -> sp.Symbol:
 
 
 def parameter_name(effect: str, name: str) -> str:
-    """Name of the symbol of a parameter; names of effects have no capitals, so that no two can be one."""
+    """Name of a parameter's symbol, unique because effect names have no capitals."""
     return f"p_{effect}_P_{name}"
 
 
 def memory_name(effect: str, name: str) -> str:
-    """The same for what an effect remembers."""
+    """Name of the symbol of a number that an effect remembers."""
     return f"mem_{effect}_M_{name}"
 
 
 def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
-    """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
+    """Quantities of the whole object for formulas, as expressions of the kernel's arguments.
 
     x, y (m), theta: pose of the object frame in the world. vx, vy, omega: velocity of its origin, world.
-    com_x, com_y: centre of mass less the origin, com_vx, com_vy its velocity, world. mass, moment (about the
-    origin), gravity, weight. time within the push (s), step (s), order: place of the push in the experiment,
-    from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x, centroid_y: of the
-    cells, object frame; spread_xx, spread_xy, spread_yy: inverse of their second moments about it, 1/m².
-    width: of a cell.
+    com_x, com_y: centre of mass relative to the origin, com_vx, com_vy: its velocity, world. mass, moment
+    (about the origin), gravity, weight. time within the push (s), step (s), order: index of the push in the
+    experiment, from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x,
+    centroid_y: of the cells, object frame; spread_xx, spread_xy, spread_yy: inverse of their second moments
+    about it, 1/m². width: of a cell.
     """
     qx, qy, qt, vx, vy, omega = (real(name) for name in STATE_NAMES)
     m, sx, sy, moment = (real(name) for name in INERTIA_NAMES)
@@ -117,7 +117,7 @@ def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
 
 
 def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
-    """What formulas may use of a cell: all that the body has, and of the cell
+    """Quantities of a cell for formulas: all of `body`, and these of the cell.
 
     x, y: centre in the world, m. rx, ry: centre in the object frame. ux, uy: velocity in the world.
     along_x, along_y: velocity in the object frame. speed: smoothed below 0.1 mm/s. area: m².
@@ -141,8 +141,10 @@ def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def after_names() -> dict[str, Any]:
-    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy,
-    force_x, force_y (world), as in `body_names`."""
+    """Quantities after a step for `remember`: x, y, theta, vx, vy, omega, com_vx, com_vy, force_x, force_y.
+
+    They are in the world, as in `body_names`.
+    """
     x, y, theta, vx, vy, omega, fx, fy = (real(name) for name in AFTER_SYMBOLS)
     m, sx, sy, _ = (real(name) for name in INERTIA_NAMES)
     c, s = sp.cos(theta), sp.sin(theta)
@@ -155,7 +157,7 @@ def after_names() -> dict[str, Any]:
 
 
 def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The names of `body`, `cell`, `after`, `pose` or `push` as letters in LaTeX, for formulas to be read."""
+    """Names of `body`, `cell`, `after`, `pose` or `push` as LaTeX letters, for formulas for readers."""
     letters = {
         "x": "x", "y": "y", "theta": r"\theta", "vx": r"\dot{x}",
         "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_{x}", "com_y": r"\bar{r}_{y}",
@@ -183,7 +185,7 @@ def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
 
 
 def latex_name(name: str) -> str:
-    """An identifier in LaTeX: words upright, x, y and single digits at its end as indices."""
+    """An identifier in LaTeX: words upright; x, y, xx, xy, yy or p at its end as an index."""
     *words, last = name.split("_")
     index = words and last in ("x", "y", "xx", "xy", "yy", "p")
     upright = r"\ ".join(words if index else [*words, last])
@@ -195,7 +197,7 @@ _WRITING = ContextVar("writing", default=False)
 
 @contextmanager
 def writing() -> Iterator[None]:
-    """While this lasts, `positive_part` and `smooth_step` stand by themselves, to be read."""
+    """Leave `positive_part` and `smooth_step` unevaluated, for readers."""
     token = _WRITING.set(True)
     try:
         yield
@@ -204,7 +206,7 @@ def writing() -> Iterator[None]:
 
 
 def force_at_mass_center(body: Any, fx: Any, fy: Any) -> tuple[Any, Any, Any]:
-    """What `Effect.force` returns for a force (world, N) that acts at the centre of mass."""
+    """Return value of `Effect.force` for a force (world, N) that acts at the centre of mass."""
     return fx, fy, body.com_x * fy - body.com_y * fx
 
 
@@ -218,7 +220,7 @@ def positive_part(value: Any, width: float) -> Any:
 
 
 def smooth_step(value: Any, width: float) -> Any:
-    """From 0 to 1 as value passes 0, mostly within ± `width`."""
+    """A step from 0 to 1 as value passes 0, mostly within ± `width`."""
     if _WRITING.get():
         from slipmap.models.effects.read_functions import SmoothStep
 

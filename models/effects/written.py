@@ -1,7 +1,7 @@
-"""Formulas of an effect to be read: LaTeX and one line of text, made from the effect's own code.
+"""Formulas of an effect for readers: LaTeX and one line of text, made from the effect's own code.
 
-Roundings that only serve the computer are left out: constants below 1e-5 in sums, and the soft corners of
-`positive_part`. Long formulas are split into shorter ones that name the repeated parts k₁, k₂ ….
+Smoothing that only serves the computation is left out: constants below 1e-5 in sums, and the soft corners of
+`positive_part`. Long formulas are split into shorter ones, with repeated parts named k₁, k₂ ….
 """
 
 import re
@@ -16,9 +16,9 @@ from sympy.printing.str import StrPrinter
 from slipmap.models.effects.effect import Effect, EffectError, call_formula
 from slipmap.models.effects.symbols import Names, latex_name, real, writing, written_names
 
-_ROUNDING = 1e-5  # constants below this in a sum are there for the computer
-_LONG = 14  # operations beyond which repeated parts of formulas get names of their own
-_SIMPLIFIED = 100  # operations up to which squares of sines and cosines are brought together
+_ROUNDING = 1e-5  # smaller constants in a sum only smooth the formula
+_LONG = 14  # formulas with more operations get names for repeated parts
+_SIMPLIFIED = 100  # operations up to which squares of sines and cosines are combined
 
 QUANTITIES = {
     "friction": ((r"s",), "factor on the friction of a cell"),
@@ -28,41 +28,41 @@ QUANTITIES = {
     ),
     "force": ((r"F_{x}", r"F_{y}", r"\tau"), "force on the object, and torque about its origin"),
     "blade": (
-        ("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "motion of the object's point r along n is resisted by F",
+        ("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "F resists motion of the object's point r along n",
     ),
     "pyramid": (
         ("c", "d", r"\alpha"),
-        "friction's norm is c |u| + d (|u·e| + |u·n|), e at the angle α in the world and n across it",
+        "the friction norm is c |u| + d (|u·e| + |u·n|), with e at angle α in the world and n normal to e",
     ),
-    "inertia": ((r"\kappa",), "factor on the mass that has to be accelerated"),
+    "inertia": ((r"\kappa",), "factor on the inertial mass"),
     "compliance": (("C",), "true tip = recorded tip - C × force on the object"),
     "measured": ((r"\hat{x}", r"\hat{y}", r"\hat{\theta}"), "pose that the tracker reports"),
-    "delay": ((r"\Delta t",), "the tracker reports the pose of Δt ago"),
+    "delay": ((r"\Delta t",), "the tracker reports the pose from Δt ago"),
     "felt": ((r"\hat{F}_{x}", r"\hat{F}_{y}"), "force that the sensor reports"),
-    "force_delay": ((r"\Delta t_{F}",), "the sensor reports the force of Δt_F ago"),
+    "force_delay": ((r"\Delta t_{F}",), "the sensor reports the force from Δt_F ago"),
 }  # fmt: skip
-"""Method of an effect: letters of its results, and what they are."""
+"""Method of an effect: letters of its results, and their meaning."""
 
 LETTERS = {
-    "x": "place of the object frame, m", "y": "place of the object frame, m",
+    "x": "position of the object frame, m", "y": "position of the object frame, m",
     r"\theta": "angle of the object",
     r"\dot{x}": "velocity of the object frame's origin", r"\dot{y}": "velocity of the object frame's origin",
-    r"\omega": "angular velocity", r"\bar{r}_{x}": "centre of mass from the origin, world axes",
-    r"\bar{r}_{y}": "centre of mass from the origin, world axes",
+    r"\omega": "angular velocity", r"\bar{r}_{x}": "centre of mass relative to the origin, world axes",
+    r"\bar{r}_{y}": "centre of mass relative to the origin, world axes",
     r"\bar{v}_{x}": "velocity of the centre of mass",
     r"\bar{v}_{y}": "velocity of the centre of mass", "m": "mass", "J": "moment of inertia about the origin",
     "g": "gravity", "t": "time since the push began", "h": "time step",
-    "k": "place of the push in the experiment",
-    "w": "width of a cell", "c_{x}": "middle of the cells", "c_{y}": "middle of the cells",
+    "k": "index of the push in the experiment",
+    "w": "width of a cell", "c_{x}": "centroid of the cells", "c_{y}": "centroid of the cells",
     "G_{xx}": "inverse of the cells' second moments", "G_{xy}": "inverse of the cells' second moments",
-    "G_{yy}": "inverse of the cells' second moments", "F_{x}": "last force of the finger",
-    "F_{y}": "last force of the finger", "X": "place of the cell, m", "Y": "place of the cell, m",
-    "r_{x}": "place of the cell in the object frame", "r_{y}": "place of the cell in the object frame",
+    "G_{yy}": "inverse of the cells' second moments", "F_{x}": "latest force of the finger",
+    "F_{y}": "latest force of the finger", "X": "position of the cell, m", "Y": "position of the cell, m",
+    "r_{x}": "position of the cell in the object frame", "r_{y}": "position of the cell in the object frame",
     "u_{x}": "velocity of the cell", "u_{y}": "velocity of the cell",
     "u^{O}_{x}": "velocity of the cell, object frame", "u^{O}_{y}": "velocity of the cell, object frame",
     "u": "speed of the cell", "a": "area of a cell",
 }  # fmt: skip
-"""What the letters of `written_names` mean."""
+"""Meanings of the letters of `written_names`."""
 
 _PLAIN = {
     r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\kappa": "κ", r"\alpha": "α", r"\Delta t": "Δt",
@@ -76,22 +76,22 @@ class Formula:
     """One equation of an effect."""
 
     meaning: str  # of the left side; empty for a part that another equation uses
-    latex: str  # the equation in LaTeX, as matplotlib's mathtext can set it too
-    text: str  # the equation in one line
+    latex: str  # the equation in LaTeX that matplotlib's mathtext can render too
+    text: str  # the equation as one line
 
 
 @dataclass(frozen=True)
 class Written:
-    """An effect to be read."""
+    """An effect for readers."""
 
-    formulas: tuple[Formula, ...]  # its equations, helpers after those that use them
-    # (text, LaTeX, meaning) of each letter in them that is no parameter
+    formulas: tuple[Formula, ...]  # its equations; helper equations follow those that use them
+    # (text, LaTeX, meaning) of each letter in them that is not a parameter
     letters: tuple[tuple[str, str, str], ...]
     symbols: dict[str, str]  # how each parameter is written in `text`, by its name
 
 
 def written(effect: Effect) -> Written:
-    """The effect's formulas, parameters by their names.
+    """The effect's formulas, with parameters written as their names.
 
     Raises:
         EffectError: a formula fails.
@@ -112,7 +112,7 @@ def written(effect: Effect) -> Written:
             names, expressions = names[:2], expressions[:2]
             meaning = "force on the object at its frame's origin, with no torque about it"
         else:
-            meaning = QUANTITIES[method][1] if method in QUANTITIES else "what it remembers from step to step"
+            meaning = QUANTITIES[method][1] if method in QUANTITIES else "memory carried from step to step"
         helpers, reduced = _split(expressions, len(formulas))
         for place, (name, expression) in enumerate(zip(names, reduced, strict=True)):
             formulas.append(_formula(meaning if place == 0 else "", real(name), expression))
@@ -126,7 +126,7 @@ def written(effect: Effect) -> Written:
 
 
 def _equations(effect: Effect, p: Any) -> Iterator[tuple[str, tuple[str, ...], Sequence[Any]]]:
-    """(method, letters, expressions) of what the effect changes."""
+    """(method, letters, expressions) of each method that the effect overrides."""
     memory = effect.memory
     body = Names(f"effect {effect.name}: body", written_names("body", memory))
     cell = Names(f"effect {effect.name}: cell", written_names("cell", memory))
@@ -158,13 +158,13 @@ def _torque(effect: Effect, force: Sequence[Any]) -> Any:
 
 
 def _read(expression: Any) -> Any:
-    """Without roundings, numbers short, angles together."""
+    """The expression for readers: without smoothing, with short numbers and combined angles."""
     expression = expression.replace(
         lambda e: e.is_Add and any(_tiny(term) for term in e.args),
         lambda e: sp.Add(*(term for term in e.args if not _tiny(term))),
     )
     expression = expression.replace(lambda e: e.is_Float, _short)
-    # Takes minutes on long expressions, and only squares have something to gain.
+    # Takes minutes on long expressions, and helps only with squares.
     short = sp.count_ops(expression) <= _SIMPLIFIED
     if short and any(power.base.func in (sp.cos, sp.sin) for power in expression.atoms(sp.Pow)):
         expression = sp.trigsimp(expression)
@@ -181,12 +181,12 @@ def _short(number: Any) -> Any:
 
 
 def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]], list[Any]]:
-    """Named parts, last ones first, and what is left; nothing is named in short formulas."""
+    """Named parts, and the expressions in terms of them; short formulas get no named parts."""
     if max(sp.count_ops(expression) for expression in expressions) <= _LONG:
         return [], list(expressions)
     names = (real(f"k_{{{number}}}") for number in range(begin + 1, begin + 100))
     helpers, reduced = sp.cse(expressions, symbols=names, order="none")
-    # A part that is short or used once reads better in its place.
+    # A part that is short or used once reads better inline.
     for index in range(len(helpers) - 1, -1, -1):
         name, value = helpers[index]
         later = [e for _, e in helpers[index + 1 :]] + list(reduced)
@@ -196,7 +196,7 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
             helpers[index:] = [(n, e.subs(name, value)) for n, e in helpers[index:]]
             reduced = [e.subs(name, value) for e in reduced]
     order = {name: real(f"k_{{{begin + place}}}") for place, (name, _) in enumerate(helpers, start=1)}
-    # Two steps, since new names may be old ones of others.
+    # In two steps, since a new name may be the old one of another part.
     apart = {name: sp.Dummy() for name in order}
     final = {apart[name]: new for name, new in order.items()}
 
@@ -207,7 +207,7 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
 
 
 class _PositiveFirst:
-    """Sums begin with a term that is added."""
+    """Printer mixin: sums begin with a positive term."""
 
     def _as_ordered_terms(self, expr: Any, order: Any = None) -> list[Any]:
         terms = super()._as_ordered_terms(expr, order)  # type: ignore[misc]
@@ -215,14 +215,14 @@ class _PositiveFirst:
 
 
 class _Text(_PositiveFirst, StrPrinter):
-    """One line of text: ^ for powers, no asterisks."""
+    """Prints one line of text, with symbols as in `plain_text`."""
 
     def _print_Symbol(self, expr: Any) -> str:
         return plain_text(str(expr.name))
 
 
 class _Latex(_PositiveFirst, LatexPrinter):
-    """LaTeX that mathtext can set too, symbols as they are."""
+    """Prints LaTeX that mathtext can render too, with symbols verbatim."""
 
     def _print_ExpBase(self, expr: Any, exp: Any = None) -> str:
         if sp.count_ops(expr.exp) <= 4:
@@ -240,7 +240,7 @@ def _formula(meaning: str, name: Any, expression: Any) -> Formula:
 
 
 def plain_text(latex: str) -> str:
-    """A symbol's LaTeX as text: x_{p} as x_p, words with underscores."""
+    """A symbol's LaTeX as text: x_{p} becomes x_p, words are joined by underscores."""
     for begin, end in (("^{+}", "'"), ("^{O}", "")):
         if begin in latex:
             rest = plain_text(latex.replace(begin, ""))

@@ -1,7 +1,7 @@
 """Objects as cell grids: from an outline, a label image or a mesh.
 
-What is named in `__init__.pyi` is imported when it is first asked for: meshes and images need libraries that
-take long to load, and pushes need neither.
+The names in `__init__.pyi` are imported on first use: meshes and images need libraries that load slowly, and
+pushes need neither.
 """
 
 import lazy_loader

@@ -1,5 +1,5 @@
-"""Objects whose truth is known: the six of Song and Boularias (2020), shaped and coloured after
-their pictures, and the demonstration's hammer."""
+"""Objects with known true maps: the six of Song and Boularias (2020), shaped and coloured after their
+pictures, and the demonstration's hammer."""
 
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -46,16 +46,16 @@ _PALE_BLUE: Color = (0.55, 0.80, 0.92, 1.0)
 class _Region(NamedTuple):
     """A segment of the paper."""
 
-    outline: BaseGeometry  # in mm, x right and y up in the picture, from the object's lower left
+    outline: BaseGeometry  # mm, x right and y up in the picture, from the object's lower left corner
     height: float  # mm
-    cell_mass: float  # of one cell in the authors' simulation, kg; only ratios within an object matter here
+    cell_mass: float  # of one cell in the authors' simulation, kg; only ratios within an object are used
     mu: float  # friction coefficient with the table
     color: Color  # red, green, blue, opacity
 
 
 class _Whole(NamedTuple):
     mass: float  # kg
-    cells: int  # about so many
+    cells: int  # approximate number
     mu_finger: float
 
 
@@ -135,13 +135,13 @@ BENCHMARK_OBJECTS = tuple(_WHOLES)
 def benchmark_object(name: str) -> TrueObject:
     """One of the paper's six objects.
 
-    Outlines and regions are those of the authors' pictures (0.53 m / 640 a pixel), simplified. Masses keep
-    the ratios between segments of the authors' simulation, scaled to what such a thing weighs; friction is
-    chosen here, another one for each segment. The object frame lies at the outline's centroid, x to the right
-    and y up in the picture.
+    Outlines and regions are simplified from the authors' pictures (0.53 m / 640 per pixel). Masses keep the
+    ratios between segments of the authors' simulation, scaled to a realistic total; friction is chosen here
+    and differs between segments. The object frame lies at the outline's centroid, with x to the right and y
+    up in the picture.
 
     Raises:
-        ValueError: an unknown name; lists the names there are and the nearest.
+        ValueError: an unknown name; the message lists the known ones and the nearest.
 
     Example:
         >>> import slipmap
@@ -179,25 +179,24 @@ def benchmark_object(name: str) -> TrueObject:
 
 
 def _placed(outline: BaseGeometry, origin: FloatArray) -> Polygon:
-    """From mm in the picture to m in the object frame."""
+    """The outline moved from mm in the picture to m in the object frame."""
     placed = shapely.transform(outline, lambda points: (points - origin) * _MM)
     assert isinstance(placed, Polygon)
     return placed
 
 
 HEAD = (0.1, 0.0375, 0.025)
-"""Of the demonstration's hammer: length across the handle, width along it and height, m."""
+"""Head of the demonstration's hammer: length across the handle, width along it, height, m."""
 HANDLE = (0.025, 0.225, 0.02)
-"""Its width, length and height, m."""
+"""Handle of the demonstration's hammer: width, length, height, m."""
 _STEEL_DENSITY, _BEECH_DENSITY = 7850.0, 700.0  # kg/m³
 
 
 def hammer() -> tuple[CellGrid, Maps]:
     """The demonstration's hammer: 60 cells and their true maps.
 
-    Its head is 0.74 kg of steel that slides easily (μ = 0.2), its handle 0.08 kg of wood that does not (0.4).
-
-    The object frame lies in the middle of the whole length, y towards the head.
+    The head is 0.74 kg of steel with low friction (μ = 0.2), the handle 0.08 kg of wood with μ = 0.4. The
+    object frame lies halfway along the hammer, y towards the head.
 
     Example:
         >>> import slipmap
@@ -216,7 +215,7 @@ def hammer() -> tuple[CellGrid, Maps]:
     return grid, Maps(mass, np.where(is_head, 0.2, 0.4), np.array([0.3]))
 
 
-# What they look like: coloured solids over their regions, in mm, z up from the table.
+# Looks of the objects: coloured solids over their regions, in mm, z up from the table.
 
 
 def _slab(x0: float, y0: float, x1: float, y1: float, base: float, top: float) -> trimesh.Trimesh:
@@ -229,7 +228,7 @@ def _book(regions: Sequence[BaseGeometry]) -> list[Part]:
     return [
         (lofted(left, [(0, 0), (0, 3)]), _CLOTH),
         (lofted(right, [(0, 0), (0, 3)]), _CLOTH),
-        # The pages reach almost to the cover's edge: the finger pushes them, and what it pushes must be seen.
+        # The pages reach almost to the cover's edge: the finger pushes them, so cameras must see them.
         (lofted(shapely.box(0.5, 0.5, 176, 254.5), [(0, 3), (0, 6), (1, 7)]), _ENDPAPER),
         (lofted(shapely.box(176, 0.5, 363.5, 254.5), [(0, 3), (0, 28.5), (0.7, 29.7), (1.5, 30)]), _IVORY),
         (_slab(215, 195, 270, 202, 30, 30.3), _INK),
@@ -273,7 +272,7 @@ def _wrench(regions: Sequence[BaseGeometry]) -> list[Part]:
 
 def _snack(regions: Sequence[BaseGeometry]) -> list[Part]:
     empty, full = regions
-    # A bag that swells towards what is in it; steep at the sides, where the finger pushes it.
+    # A bag that bulges over its content, with steep sides where the finger pushes.
     pillow = [(0, 7), (0.4, 30), (2, 37), (6, 40.5), (16, 43.5), (32, 45)]
     bag = shapely.union_all([empty, full])
     filling = shapely.intersection(shapely.box(96, 0, 300, 300), bag.buffer(-0.5))

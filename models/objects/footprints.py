@@ -1,5 +1,5 @@
-"""Footprints cut into square cells, from an outline; the cells on the outer contour, where a finger can touch
-them; and convex pieces of an outline, for collision engines, which know no others.
+"""Footprints cut into square cells, cells on the outer contour that a finger can touch, and convex pieces of
+an outline for collision engines.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from shapely.geometry import Polygon
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray, checked_points, checked_polygon
 
-_MAX_CELLS = 50_000  # finer grids than this are taken for a mistake in units
-# Of a grid centred on the bounding box: a cell's centre or a corner there, in x and in y.
+_MAX_CELLS = 50_000  # a finer grid is probably a mistake in units
+# The centre of the bounding box holds a cell's centre (0) or a cell's edge (0.5), in x and in y.
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
-_PIECES_PER_CELL = 32  # of the exterior, of which each is owned by one cell
+_PIECES_PER_CELL = 32  # pieces of the exterior per cell width; each piece belongs to one cell
 _LEAST_SHARE = 0.1  # of a cell's width
 
 
@@ -33,28 +33,27 @@ def cells_from_polygon(
     count: int | None = None,
     width: float | None = None,
 ) -> CellGrid:
-    """Grid squares whose centre lies inside an outline.
+    """Grid of the squares whose centre lies inside an outline.
 
-    On a straight edge this is the same as asking for a coverage of one half; at corners and thin parts it is
-    less biased in area and second moment than coverage, because a strip thinner than half a cell still has
-    its share of centres. The grid is centred on the bounding box, with a cell's centre or a cell's edge on
-    each of its middle lines, so an object that is symmetric about them gets a symmetric grid. A centre that
-    lies exactly on the outline is outside.
+    On a straight edge this equals requiring half coverage. At corners and thin parts it biases area and
+    second moment less than coverage does, because a strip thinner than half a cell still has its share of
+    centres. The grid is centred on the bounding box, with cell centres or cell edges on the box's middle
+    lines, so an object symmetric about them gets a symmetric grid. A centre on the outline counts as outside.
 
-    With `count`, the width is searched for which the number of cells comes nearest to it and, second, the
-    area of the cells nearest to that of the outline. Symmetry can rule a number out: a disc has no
-    symmetric grid of 10 cells and gets another number near it. `count=1` gives one square of the outline's
-    area at its centroid. Rows run in ascending y, and within a row in ascending x.
+    With `count`, the width is chosen to bring the number of cells as near as possible to it and, second, the
+    area of the cells to that of the outline. Symmetry can rule a number out: a disc has no symmetric grid of
+    10 cells and gets a number near it. `count=1` gives one square of the outline's area at its centroid. Rows
+    run in ascending y, and within a row in ascending x.
 
     Args:
-        exterior: (k, 2) outline in the object frame, either sense, m.
+        exterior: (k, 2) outline in the object frame, in either direction, m.
         holes: rings (k_j, 2) of openings, m.
         count: wanted number of cells. Give either this or `width`.
         width: side of a cell, m.
 
     Raises:
-        ValueError: not exactly one of count and width, one of them out of range, an outline that is not a
-            simple polygon, or a width so large that no centre lies inside.
+        ValueError: count and width are both given or both missing, or out of range; the outline is not a
+            simple polygon; or the width is so large that no centre lies inside.
 
     Example:
         >>> import slipmap
@@ -81,9 +80,9 @@ def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatAr
     """Cells that own a stretch of the exterior, each with a contact point and the normal there.
 
     A cell owns the part of the exterior to which it is the nearest cell. Its contact point is the point of
-    this part that lies nearest to the cell's centre; for a cell with a side on the outline, the middle of
-    that side. Cells that own less than a tenth of their width, such as the one behind a re-entrant corner,
-    are left out, unless no cell owns more. Holes have no contact cells: a finger outside cannot reach them.
+    this part nearest to the cell's centre: for a cell with a side on the outline, the middle of that side.
+    Cells that own less than a tenth of their width, such as one behind a re-entrant corner, are left out,
+    unless no cell owns more. Holes have no contact cells, since a finger outside cannot reach them.
 
     Returns:
         indices: (c,) cells in counter-clockwise order along the exterior, each once.
@@ -96,13 +95,13 @@ def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatAr
     share = np.bincount(owner, weights=length, minlength=len(grid))
     least = min(_LEAST_SHARE * grid.width, float(share.max()))
 
-    # Nearest point of each piece to its owner, kept off the edge's ends.
+    # The point of each piece nearest to its owner, kept away from the edge's ends.
     offset = grid.centers[owner] - start
     fraction = np.clip(np.sum(offset * along, axis=1) / length**2, *limits)
     points = start + fraction[:, None] * along
     distance = np.linalg.norm(points - grid.centers[owner], axis=1)
 
-    # Rounded, so that of equally near points the first is taken whatever the rounding errors.
+    # Rounded, so that the first of equally near points is taken despite rounding errors.
     key = np.round(distance / grid.width, 6)
     order = np.lexsort((np.arange(len(owner)), key, owner))
     cells, first = np.unique(owner[order], return_index=True)
@@ -121,7 +120,7 @@ def rings_of(polygon: Polygon) -> tuple[FloatArray, tuple[FloatArray, ...]]:
 
 
 def without_small_holes(polygon: Polygon, area: float) -> Polygon:
-    """The polygon with only those of its holes that are larger than an area."""
+    """The polygon without its holes of up to the given area."""
     return Polygon(polygon.exterior, [hole for hole in polygon.interiors if Polygon(hole).area > area])
 
 
@@ -170,11 +169,11 @@ def _counted(polygon: Polygon, count: int) -> tuple[FloatArray, float]:
         return centroid[None, :], equal_area
     interior = _Interior(polygon)
     crossing = _crossing_width(interior, equal_area, count)
-    # One step changes the number by about half a cell; the first hit going outwards has the best area.
+    # One step changes the number by about half a cell. Searching outwards, the first hit has the best area.
     steps = np.arange(-_FINE_STEPS, _FINE_STEPS + 1) / (4 * count)
     widths = np.concatenate([equal_area * np.exp(steps), crossing * np.exp(steps)])
     best: tuple[tuple[float, ...], FloatArray, float] | None = None
-    distance = np.round(np.abs(np.log(widths / equal_area)), 9)  # so that rounding errors decide no tie
+    distance = np.round(np.abs(np.log(widths / equal_area)), 9)  # so that rounding errors break no tie
     for width in widths[np.argsort(distance, kind="stable")]:
         for centers in (interior.centers(width, offset) for offset in _OFFSETS):
             if len(centers) == 0:
@@ -190,7 +189,7 @@ def _counted(polygon: Polygon, count: int) -> tuple[FloatArray, float]:
 
 
 def _crossing_width(interior: _Interior, start: float, count: int) -> float:
-    """A width at which the number of cells passes `count`; not `start` for parts thinner than a cell."""
+    """A width at which the number of cells passes `count`, which thin parts move away from `start`."""
 
     def number(width: float) -> int:
         return max(len(interior.centers(width, offset)) for offset in _OFFSETS)
@@ -207,18 +206,18 @@ def _crossing_width(interior: _Interior, start: float, count: int) -> float:
 
 
 class _Interior:
-    """Finds the grid points inside a polygon."""
+    """Grid points inside a polygon."""
 
     def __init__(self, polygon: Polygon) -> None:
         x0, y0, x1, y1 = polygon.bounds
         self.middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
         self.half_extent = np.array([(x1 - x0) / 2, (y1 - y0) / 2])
-        # Shrunk by far more than rounding, so that centres on opposite edges are judged alike.
+        # Shrunk by far more than rounding errors, so that centres on opposite edges are treated alike.
         self.polygon = polygon.buffer(-1e-9 * float(self.half_extent.max()), join_style="mitre")
         shapely.prepare(self.polygon)
 
     def centers(self, width: float, offset: tuple[float, float]) -> FloatArray:
-        """(n, 2) points (k + offset) width from the bounding box's centre that lie inside, row by row."""
+        """(n, 2) inner points at (k + offset) width from the bounding box's centre, row by row."""
         axes = []
         for half, shift in zip(self.half_extent, offset, strict=True):
             k = np.floor(half / width + 1)
@@ -229,7 +228,7 @@ class _Interior:
 
 
 def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray, float]) -> float:
-    """Relative error of area and second moment, and the centroid's offset in radii of gyration, summed."""
+    """Sum of the relative errors of area and second moment and the centroid's offset in radii of gyration."""
     if len(centers) == 0:
         return float("inf")
     area, centroid, polar = target
@@ -237,18 +236,18 @@ def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray
     offsets = centers - centroid
     second = cell_area * float(np.sum(offsets**2) + len(centers) * cell_area / 6)
     shift = float(np.hypot(*offsets.mean(axis=0))) / np.sqrt(polar / area)
-    # Rounded, so that equally good grids are chosen by their order and not by rounding errors.
+    # Rounded, so that order and not rounding errors decides between equally good grids.
     return round(abs(len(centers) * cell_area / area - 1) + abs(second / polar - 1) + shift, 9)
 
 
 def check_width(width: float) -> None:
-    """Raise ValueError unless it is a length that cells can have."""
+    """Raise ValueError unless the width is positive and finite."""
     if not (np.isfinite(width) and width > 0):
         raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
 
 
 def checked_holes(holes: Sequence[ArrayLike]) -> tuple[FloatArray, ...]:
-    """Rings (k_j, 2) of openings, or ValueError, which names the one that is none."""
+    """Rings (k_j, 2) of openings, checked; a ValueError names the faulty one."""
     return tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
 
 
@@ -267,18 +266,18 @@ def _pieces(grid: CellGrid) -> tuple[FloatArray, FloatArray, NDArray[np.intp], F
     return start, along, edge, limits
 
 
-_BULGE = 1e-4  # m; by how much a convex piece may stand out of the polygon
+_BULGE = 1e-4  # m; a convex piece may protrude from the polygon by this much
 
 _Borders = dict[int, dict[int, float]]
-"""Of each piece, those beside it and the length of the common border, m; NaN where it cannot be removed."""
+"""Piece: its neighbours and the length of the common border, m; NaN if the two cannot be joined."""
 
 
 def convex_pieces(polygon: Polygon) -> list[Polygon]:
-    """Convex polygons that cover a polygon with corners and holes, and stand out by no more than 0.1 mm.
+    """Convex polygons that cover a polygon with holes and protrude by no more than 0.1 mm.
 
-    Triangles that share a side are joined, the longest common border first, as long as the result stays
-    convex (the algorithm of Hertel and Mehlhorn, which finds at most four times as many pieces as needed).
-    Two pieces that cannot be joined never can, however they grow: each pair is tried once.
+    Triangles that share a side are joined, longest common border first, as long as the result stays convex
+    (the algorithm of Hertel and Mehlhorn, which finds at most four times as many pieces as needed). Two
+    pieces that cannot be joined never can, however they grow, so each pair is tried once.
     """
     allowed = polygon.buffer(_BULGE, quad_segs=2)
     shapely.prepare(allowed)

@@ -1,5 +1,5 @@
-"""Cell grids from label images, pictures from above whose pixels name segments of the object; and the outline
-of a mask of pixels, to better than a pixel."""
+"""Cell grids from label images (top views whose pixels name segments of the object), and subpixel outlines of
+pixel masks."""
 
 import re
 import struct
@@ -30,13 +30,13 @@ _LARGEST_FILE = 64 * 2**20  # bytes
 _MOST_PIXELS = 50_000_000
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
-_SAVE_ANEW = "save it once more, as a greyscale PNG"
+_SAVE_ANEW = "save it again as a greyscale PNG"
 _SPECK = 0.01  # of the object's area
-_MOST_BORDER = 0.5  # of the picture's border; more of it is covered by a background, not by an object
-# Without a change of depth or channels, but turned as the camera noted; OpenCV turns TIFF files anyway.
+_MOST_BORDER = 0.5  # of the picture's border; only a background covers more of it
+# Keeps depth and channels, but applies the camera's orientation, which OpenCV does for TIFF files anyway.
 _AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
-# The borders' middles along a straight edge of any direction lie in a strip less than a pixel wide.
+# Along a straight edge of any direction, the middles of the pixel borders lie in a strip under a pixel wide.
 _STRIP = 1.0
 _FARTHEST_CORNER = 1.5
 _LEAST_TURN = np.sin(np.deg2rad(15.0))
@@ -52,26 +52,26 @@ def cells_from_label_image(
 ) -> tuple[CellGrid, IntArray]:
     """Cell grid of the object in a label image, and the segment that each cell belongs to.
 
-    Every pixel that is not background is part of the object. The object frame has its origin at the centroid
-    of these pixels; x points to the right in the image and y up, that is, against the rows. The outline is
-    that of `traced_outline`. Further pieces and holes below 1 % of the object's area count as noise: pieces
-    are dropped, holes filled.
+    Every pixel that is not background belongs to the object. The object frame has its origin at the centroid
+    of these pixels; x points right in the image and y up, against the rows. `traced_outline` gives the
+    outline. Further pieces and holes below 1 % of the object's area count as noise: pieces are dropped, holes
+    filled.
 
     Args:
-        labels: (H, W) whole numbers, or the path of a picture with one channel.
+        labels: (H, W) integers, or the path of a picture with one channel.
         metres_per_pixel: side of a pixel on the object's surface, m.
-        count: wanted number of cells, as in `cells_from_polygon`; or else
+        count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
         width: side of a cell, m.
-        background: label of what is not the object.
+        background: label of pixels outside the object.
 
     Returns:
-        The grid, and segment (n,): the label of most of a cell's object pixels (of equally many, the smallest
-        label), or of the nearest object pixel where cells are smaller than pixels.
+        The grid, and segments (n,): the most frequent label among a cell's object pixels (on a tie the
+        smallest label), or that of the nearest object pixel if a cell is smaller than a pixel.
 
     Raises:
-        ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
-            that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
-            object in separate pieces or along most of the picture's border, or wrong count or width.
+        ValueError: the file cannot be read; the image is not one channel of integers; the scale is not
+            positive or makes the object wider than 5 m or narrower than 1 mm; there is no object, or it is in
+            separate pieces or covers most of the picture's border; or count or width is wrong.
 
     Example:
         >>> import numpy as np
@@ -116,7 +116,7 @@ def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[Int
     if image.ndim != 2:
         raise ValueError(
             f"{source}: expected one channel (H, W) with a label in each pixel, got shape {image.shape}; "
-            f"save labels as a greyscale picture, not in colour"
+            f"save the labels as a greyscale picture, not in colour"
         )
     if image.dtype != bool and not np.issubdtype(image.dtype, np.integer):
         raise ValueError(f"{source}: labels must be whole numbers, got {image.dtype}")
@@ -132,9 +132,9 @@ def _largest_piece(labels: IntArray, source: str, background: int) -> Mask:
         rim = np.concatenate([labels[[0, -1]].ravel(), labels[1:-1, [0, -1]].ravel()])
         label = int(np.bincount(rim[border] - rim.min()).argmax() + rim.min())
         raise ValueError(
-            f"{source}: the object covers {100 * border.mean():.0f} % of the picture's border, as a"
-            f" background does. If {label} is the background, give background={label}; an object itself needs"
-            f" a margin of the background, here {background}, around it"
+            f"{source}: the object covers {100 * border.mean():.0f} % of the picture's border, like a"
+            f" background. If {label} is the background, give background={label}; otherwise leave a margin of"
+            f" the background label {background} around the object"
         )
     _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
@@ -144,16 +144,16 @@ def _largest_piece(labels: IntArray, source: str, background: int) -> Mask:
         other = 1 + int(np.argsort(areas, kind="stable")[-2])
         x, y = stats[other, cv2.CC_STAT_LEFT], stats[other, cv2.CC_STAT_TOP]
         raise ValueError(
-            f"{source}: the object falls into separate pieces; besides the largest ({areas[kept]} pixels) "
-            f"there is one of {others.max()} pixels at column {x}, row {y}. An object is one connected piece "
-            f"(pixels that touch in a corner are not connected): join the pieces or set all but "
+            f"{source}: the object is in separate pieces; besides the largest ({areas[kept]} pixels) "
+            f"there is one of {others.max()} pixels at column {x}, row {y}. An object must be one connected "
+            f"piece (pixels that touch only at a corner are not connected): join the pieces or set all but "
             f"one to {background}"
         )
     return piece == kept + 1
 
 
 def openings(labels: NDArray[np.integer], background: int = 0) -> int:
-    """Number of openings, however small, in what is not background of a label image (H, W)."""
+    """Number of openings of any size in the object of a label image (H, W)."""
     number, pieces = cv2.connectedComponents((labels == background).astype(np.uint8), connectivity=8)
     border = np.concatenate([pieces[[0, -1]].ravel(), pieces[:, [0, -1]].ravel()])
     return int(number - 1 - len(set(border.tolist()) - {0}))
@@ -173,18 +173,18 @@ def _majority(grid: CellGrid, pixels: FloatArray, labels: IntArray) -> IntArray:
 
 
 def traced_outline(mask: Mask) -> Polygon:
-    """Outline with holes of one connected piece of pixels (neighbours share a side).
+    """Outline, with holes, of one connected piece of pixels (neighbours share a side).
 
     The outline runs between the pixels, through the middles of the borders between object and background.
-    Stairs of oblique edges are replaced by the straight lines that fit them best in the least-squares sense,
-    so that normals are those of the object's edges and not of the pixels; corners lie where these lines
-    meet. Objects too small for that, a few pixels wide, keep the borders of their pixels.
+    Least-squares lines replace the staircases of oblique edges, so that normals are those of the object's
+    edges and not of the pixels; corners lie where these lines meet. Objects only a few pixels wide keep the
+    borders of their pixels.
 
     Args:
         mask: (H, W) pixels of the object.
 
     Returns:
-        Polygon in pixel coordinates (column, row), in which whole numbers are the centres of pixels.
+        Polygon in pixel coordinates (column, row); integers are the centres of pixels.
     """
     rings, borders = border_middles(mask)
     stairs = Polygon(rings[0], rings[1:])
@@ -193,7 +193,7 @@ def traced_outline(mask: Mask) -> Polygon:
     kept = (coarse.exterior, *coarse.interiors)
     straight = [straightened(points, corners) for points, corners in zip(rings, kept, strict=True)]
     polygon = Polygon(straight[0], straight[1:])
-    # Lines that fit keep the area; otherwise edges are off by a tenth of a pixel on average.
+    # Good lines keep the area: a larger difference means edges off by a tenth of a pixel on average.
     if polygon.is_valid and abs(polygon.area - mask.sum()) < 0.1 * stairs.length:
         return polygon
     exact = borders.simplify(0.0)
@@ -210,7 +210,7 @@ def border_middles(mask: Mask) -> tuple[list[FloatArray], Polygon]:
     step = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, first = np.nonzero(step == 1)
     last = np.nonzero(step == -1)[1]
-    # The union of the rows' runs follows the borders exactly; cut into unit steps, it gives their middles.
+    # The union of the rows' runs follows the borders exactly; unit steps along it give their middles.
     runs = shapely.box(first - 0.5, row - 0.5, last - 0.5, row + 0.5)
     borders = shapely.unary_union(runs).segmentize(1.0)
     assert isinstance(borders, Polygon)
@@ -222,11 +222,11 @@ def border_middles(mask: Mask) -> tuple[list[FloatArray], Polygon]:
 
 
 def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
-    """Corners (k, 2) of the lines that best fit the stretches of a ring (m, 2) between points kept of it."""
+    """Corners (k, 2) of the lines that best fit the stretches of a ring (m, 2) between its kept points."""
     where = {tuple(point): k for k, point in enumerate(points)}
     corners = np.asarray(kept.coords)[:-1]
     index = [where[tuple(corner)] for corner in corners]
-    if (np.diff(index) % len(points)).sum() > len(points):  # kept in the other sense
+    if (np.diff(index) % len(points)).sum() > len(points):  # kept points run the other way round
         corners, index = corners[::-1], index[::-1]
     lines = []
     for begin, end in zip(index, index[1:] + index[:1], strict=True):
@@ -249,13 +249,13 @@ def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """(H, W) or (H, W, channels) of a PNG, BMP, PGM or TIFF file, upright where it notes its orientation.
+    """Read (H, W) or (H, W, channels) from a PNG, BMP, PGM or TIFF file, turned upright if it says how.
 
-    OpenCV believes what a file declares: it makes room for gigabytes, and takes seconds for it, though the
-    file has a few bytes.
+    The declared size is checked first: OpenCV trusts it and would spend seconds allocating gigabytes for a
+    file of a few bytes.
 
     Raises:
-        UnreadableFile: no such file, one that is too large, of another kind, or damaged, or more than 50
+        UnreadableFile: the file is missing, too large, of another kind or damaged, or declares more than 50
             million pixels.
     """
     content = read_bounded(path, _LARGEST_FILE)
@@ -265,7 +265,7 @@ def read_picture(path: Path) -> NDArray[Any]:
         raise
     except struct.error as error:
         raise UnreadableFile(
-            f"is damaged or cut short: a part goes on beyond its end; {_SAVE_ANEW}"
+            f"is damaged or cut short: a part extends beyond its end; {_SAVE_ANEW}"
         ) from error
     except ValueError as error:
         raise UnreadableFile(f"is damaged or cut short ({error}); {_SAVE_ANEW}") from error
@@ -273,7 +273,7 @@ def read_picture(path: Path) -> NDArray[Any]:
         raise UnreadableFile(
             f"declares {width} by {height} pixels; a picture may have up to {_MOST_PIXELS / 1e6:.0f} million"
         )
-    with _opencv_silent():  # what is wrong is told below
+    with _opencv_silent():  # the error below says what is wrong
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), _AS_STORED)
         except cv2.error:
@@ -285,7 +285,7 @@ def read_picture(path: Path) -> NDArray[Any]:
 
 @contextmanager
 def _opencv_silent() -> Iterator[None]:
-    """OpenCV writes nothing to stderr; versions that cannot be silenced do."""
+    """Keep OpenCV from writing to stderr, in versions that can be silenced."""
     log = getattr(cv2.utils, "logging", None)
     if log is None:
         yield
@@ -299,11 +299,11 @@ def _opencv_silent() -> Iterator[None]:
 
 
 def _declared_size(content: bytes) -> tuple[int, int]:
-    """Width and height in a file's header.
+    """Width and height from a file's header.
 
     Raises:
-        UnreadableFile: of another kind.
-        ValueError, struct.error: damaged.
+        UnreadableFile: the file is of another kind.
+        ValueError, struct.error: the file is damaged.
     """
     if content.startswith(_PNG):
         return _png_size(content)
@@ -317,7 +317,7 @@ def _declared_size(content: bytes) -> tuple[int, int]:
         return int(numbers[1]), int(numbers[2])
     if content[:4] in (b"II*\0", b"MM\0*"):
         return _tiff_size(content, "<" if content.startswith(b"II") else ">")
-    raise UnreadableFile(f"not a picture of a kind that is read (PNG, BMP, PGM, TIFF); {_SAVE_ANEW}")
+    raise UnreadableFile(f"not a picture of a supported kind (PNG, BMP, PGM, TIFF); {_SAVE_ANEW}")
 
 
 def _png_size(content: bytes) -> tuple[int, int]:
@@ -336,7 +336,7 @@ def _png_size(content: bytes) -> tuple[int, int]:
 
 
 def _tiff_size(content: bytes, order: str) -> tuple[int, int]:
-    """Of the first picture, of which alone is read."""
+    """Width and height of the first picture, the only one that is read."""
     (directory,) = struct.unpack_from(f"{order}I", content, 4)
     (count,) = struct.unpack_from(f"{order}H", content, directory)
     found: dict[int, int] = {}

@@ -1,5 +1,5 @@
-"""Triangle meshes: reading them upright and in metres, cell grids from their silhouettes, solids over an
-outline, and OBJ text with the normals that renderers want."""
+"""Triangle meshes: reading them upright and in metres, cell grids from silhouettes, solids over an outline,
+and OBJ text with normals for renderers."""
 
 import logging
 import re
@@ -23,28 +23,28 @@ from slipmap.models.objects.footprints import cells_from_polygon, rings_of, with
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 LARGEST_EXTENT = 5.0
-"""A footprint wider than this (m) is taken for a mesh in millimetres or inches."""
+"""A footprint wider than this (m) is refused: the mesh is probably in millimetres or inches."""
 
 SMALLEST_EXTENT = 1e-3
-"""A footprint narrower than this (m) is taken for one in a wrong unit too."""
+"""A footprint narrower than this (m) is refused: its unit is probably wrong too."""
 
 DOUBTFUL_EXTENT = 1.0
-"""A footprint wider than this (m) is asked about."""
+"""A footprint wider than this (m) raises doubt about the unit."""
 
 DIRECTIONS = {
     f"{sign}{axis}": tuple(float(f"{sign}{int(axis == other)}") for other in "xyz")
     for sign in ("", "-")
     for axis in "xyz"
 }
-"""Which way is up, by its name: x, y, z, -x, -y, -z."""
+"""Unit vectors by name: x, y, z, -x, -y, -z."""
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "m": 1.0}
 
 _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
-_FINEST = 1e-5  # of the silhouette's extent; what lies nearer to a line between corners is no corner
+_FINEST = 1e-5  # of the silhouette's extent; a point nearer to the line between corners is not a corner
 _SPECK = 1e-5  # of the silhouette's area
-_CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle show an edge
+_CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle form a visible edge
 _ROUND_STEPS = 6
 _MOST_COLOURS = 16
 
@@ -59,22 +59,21 @@ def cells_from_mesh(
 ) -> CellGrid:
     """Cell grid of a mesh's silhouette on the support plane (lines 1 and 2 of Algorithm 4).
 
-    Triangles are projected along `up` and united, so overhanging parts belong to the footprint, as they do
-    when a camera looks from above. With `up` = z the object frame is the mesh frame's x and y. Any other
-    `up` is first turned to z by the smallest rotation (about x for -z), and the frame is the x and y after
-    that.
+    Triangles are projected along `up` and united, so overhanging parts belong to the footprint, as in a
+    camera's view from above. With `up` = z the object frame has the mesh frame's x and y. Any other `up` is
+    first turned to z by the smallest rotation (about x for -z); x and y are those of the turned mesh.
 
     Args:
-        mesh: a mesh, or the path of a file that trimesh can load; the parts of a scene are taken together.
-        count: wanted number of cells, as in `cells_from_polygon`; or else
+        mesh: a mesh, or the path of a file that trimesh can load; the parts of a scene are merged.
+        count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
         width: side of a cell, m.
-        up: (3,) direction away from the table, in the mesh frame; that of the file's format where missing.
-        metres_per_unit: length of the mesh's unit; as stated in the file where missing, else 1.
+        up: (3,) direction away from the table, in the mesh frame; by default that of the file's format.
+        metres_per_unit: length of the mesh's unit; by default as stated in the file, else 1.
 
     Raises:
-        ValueError: a file that cannot be read, a mesh without triangles or with vertices that are not finite,
-            a silhouette without area, in separate parts, wider than 5 m or narrower than 1 mm, or a wrong up,
-            unit, count or width.
+        ValueError: the file cannot be read; the mesh has no triangles, or vertices that are not finite; the
+            silhouette has no area, is in separate parts, wider than 5 m or narrower than 1 mm; or up, unit,
+            count or width is wrong.
 
     Example:
         >>> import slipmap
@@ -100,7 +99,7 @@ def cells_from_mesh(
 
 
 def unit_advice(extent: float, unit: float) -> str:
-    """Which unit of a mesh would give an object a size that a table holds.
+    """Advice on which unit would give a mesh a plausible size for an object on a table.
 
     Args:
         extent: m, with the present unit.
@@ -113,12 +112,12 @@ def unit_advice(extent: float, unit: float) -> str:
         if 0.005 <= size <= DOUBTFUL_EXTENT
     ]
     if not fitting:
-        return "no common unit makes a thing of it that lies on a table; is it the right file?"
+        return "no common unit gives it a size that suits a table; is it the right file?"
     return f"what is the mesh's unit? {', '.join(fitting)}"
 
 
 def up_axis(path: str | PathLike[str]) -> str:
-    """A key of `DIRECTIONS`: y for glTF, as its specification says, and for COLLADA that of the file, else z.
+    """A key of `DIRECTIONS`: y for glTF, as its specification says, the file's own for COLLADA, else z.
 
     Raises:
         ValueError: the file cannot be read.
@@ -138,10 +137,10 @@ def up_axis(path: str | PathLike[str]) -> str:
 def upright_mesh(
     path: str | PathLike[str], up: ArrayLike | None = None, metres_per_unit: float | None = None
 ) -> trimesh.Trimesh:
-    """The mesh of a file in m, turned like its cells and set down on z = 0; arguments as `cells_from_mesh`.
+    """The mesh of a file in m, turned like its cells and resting on z = 0; arguments as in `cells_from_mesh`.
 
     Raises:
-        ValueError: a file that cannot be read, or a wrong up or unit.
+        ValueError: the file cannot be read, or up or the unit is wrong.
     """
     loaded, source = _loaded(path)
     mesh = loaded.copy()
@@ -158,15 +157,15 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
         source = f"mesh {Path(mesh)}"
         try:
             check_file(Path(mesh), _LARGEST_FILE)
-            logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong is told below
-            # A picture on the surface says nothing of how the object slides, and may be large.
+            logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # the error below says what is wrong
+            # A texture does not affect how the object slides, and may be large.
             mesh = trimesh.load_mesh(str(mesh), skip_materials=True)
         except UnreadableFile as error:
             raise ValueError(f"{source}: {error}") from error
-        except Exception as error:  # trimesh's readers raise whatever their parsers do
+        except Exception as error:  # trimesh's readers raise whatever their parsers raise
             raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, Path(mesh))}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ValueError(f"{source}: has no triangles; export the object's surface, as .stl, .obj or .ply")
+        raise ValueError(f"{source}: has no triangles; export the object's surface as .stl, .obj or .ply")
     if not np.all(np.isfinite(mesh.vertices)):
         row = int(np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))[0])
         raise ValueError(f"{source}: vertex {row} is not finite")
@@ -174,13 +173,13 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
 
 
 def _told(error: Exception, path: Path) -> str:
-    """What a reader that failed means."""
+    """Readable text for the error of a failed reader."""
     if not isinstance(error, ImportError):
         said = " ".join(str(error).split())
         said = said if len(said) <= 200 else f"{said[:197]}..."
-        return f"{said}; export it once more, as .stl, .obj or .ply"
-    if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
-        return "it is damaged or cut short, or no mesh; export it once more"
+        return f"{said}; export it again as .stl, .obj or .ply"
+    if "charset_normalizer" in str(error):  # imported if a file is neither binary nor plain text
+        return "it is damaged or cut short, or not a mesh; export it again"
     bring = "`pip install 'slipmap[collada]'`" if path.suffix.lower() == ".dae" else "a further library"
     return f"files that end in {path.suffix} need {bring}; or export the mesh as .stl or .obj"
 
@@ -208,7 +207,7 @@ def _turn_to_z(up: ArrayLike) -> FloatArray:
 def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str) -> Polygon:
     """Union of projected triangles (t, 3, 2)."""
     twice_area = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    # The upper side of a closed mesh covers its silhouette; of an open one the sides may face anywhere.
+    # The upper side of a closed mesh covers its silhouette; the faces of an open one may point anywhere.
     seen = twice_area if closed else np.abs(twice_area)
     union = shapely.union_all(shapely.polygons(triangles[seen > (_SNAP * extent) ** 2]))
     parts = [p for p in getattr(union, "geoms", [union]) if p.area > _SPECK * union.area]
@@ -217,8 +216,8 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     if len(parts) > 1:
         boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts)
         raise ValueError(
-            f"{source}: the silhouette falls into {len(parts)} separate parts (x_min, y_min, x_max, y_max in "
-            f"m: {boxes}); an object is one connected piece"
+            f"{source}: the silhouette is in {len(parts)} separate parts (x_min, y_min, x_max, y_max in "
+            f"m: {boxes}); an object must be one connected piece"
         )
     outline = parts[0].simplify(_FINEST * extent)
     assert isinstance(outline, Polygon)
@@ -236,8 +235,10 @@ def shaded_obj(mesh: trimesh.Trimesh) -> str:
 
 
 def _corner_normals(mesh: trimesh.Trimesh) -> FloatArray:
-    """(3 f, 3) unit normals: the mean, by area, over the faces around a corner that meet its own face in no
-    more than 35 degrees."""
+    """(3 f, 3) unit normals at the corners of faces, for smooth shading.
+
+    Each is the mean, weighted by area, over the faces around the corner within 35 degrees of its own face.
+    """
     corners = mesh.faces.reshape(-1)
     count = len(corners)
     at_vertex = csr_array((np.ones(count), (np.arange(count), corners)), shape=(count, len(mesh.vertices)))
@@ -251,14 +252,14 @@ def _corner_normals(mesh: trimesh.Trimesh) -> FloatArray:
 
 
 def lofted(outline: BaseGeometry, profile: Sequence[tuple[float, float]]) -> trimesh.Trimesh:
-    """Solid that stands on an outline and draws in with height.
+    """Solid on an outline that narrows with height.
 
     Args:
-        outline: footprint of one or more polygons, concave or with holes too, m.
-        profile: rows (inset, z) from below to the top, neither falling: at height z the cross-section is the
-            outline less a rim of the width `inset`. Rows at which nothing is left are passed over.
+        outline: footprint of one or more polygons, possibly concave or with holes, m.
+        profile: rows (inset, z) from bottom to top, neither decreasing: at height z the cross-section is the
+            outline without a rim of width `inset`. Rows with an empty cross-section are skipped.
     """
-    # Rounded at re-entrant corners, so that a rim of one width stays free everywhere.
+    # Rounded at re-entrant corners, so that the rim has the same width everywhere.
     sections = [
         (outline if inset == 0 else outline.buffer(-inset, quad_segs=4), inset, z) for inset, z in profile
     ]
@@ -279,9 +280,9 @@ def rounded(
     """Profile of a slab from `base` to `height` whose upper edge is a quarter of an ellipse.
 
     Args:
-        height: of the top, m.
+        height: height of the top, m.
         edge: width of the rounding, m.
-        rise: its height, m; as wide where missing.
+        rise: height of the rounding, m; by default `edge`.
         base: height of the underside, m.
     """
     rise = min(edge if rise is None else rise, height - base)
@@ -291,7 +292,7 @@ def rounded(
 
 
 def coloured(parts: Sequence[tuple[trimesh.Trimesh, ArrayLike]]) -> trimesh.Trimesh:
-    """One mesh of several, each with one colour (r, g, b, a from 0 to 1) on its faces."""
+    """Merge meshes, each with one colour (r, g, b, a from 0 to 1) on its faces."""
     vertices = np.concatenate([part.vertices for part, _ in parts])
     starts = np.cumsum([0, *(len(part.vertices) for part, _ in parts[:-1])])
     faces = np.concatenate([part.faces + start for (part, _), start in zip(parts, starts, strict=True)])
@@ -304,8 +305,11 @@ def coloured(parts: Sequence[tuple[trimesh.Trimesh, ArrayLike]]) -> trimesh.Trim
 
 
 def plainly_coloured(mesh: trimesh.Trimesh, colour: ArrayLike) -> trimesh.Trimesh:
-    """The mesh with few colours on its faces: its own; their mean if they are many, as of a scan; the given
-    one (r, g, b, a from 0 to 1) if it has none, or a picture on its surface."""
+    """The mesh with few colours on its faces.
+
+    It keeps its own if they are few, takes their mean if they are many, as in a scan, and the given one
+    (r, g, b, a from 0 to 1) if it has none or a texture.
+    """
     if isinstance(mesh.visual, trimesh.visual.ColorVisuals) and mesh.visual.defined:
         own = np.asarray(mesh.visual.face_colors, dtype=float)
         if len(np.unique(own, axis=0)) <= _MOST_COLOURS:
@@ -315,7 +319,7 @@ def plainly_coloured(mesh: trimesh.Trimesh, colour: ArrayLike) -> trimesh.Trimes
 
 
 def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
-    """(k,) greatest z of a mesh on the vertical through each point (k, 2), m; NaN where there is no mesh."""
+    """(k,) largest z of a mesh over each point (k, 2), m; NaN where there is no mesh."""
     corners = np.asarray(mesh.triangles)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     e, f = b - a, c - a

@@ -1,4 +1,4 @@
-"""An object as it really is: what the experiment hides and the simulated world needs."""
+"""The true object: what an experiment hides and the simulated world needs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,28 +25,28 @@ _PALETTE = ("#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2", "#
 class Block:
     """Part of the object that a finger can touch: an upright prism on the table."""
 
-    outline: Polygon  # its footprint, may be concave and have holes, object frame, m
+    outline: Polygon  # footprint, may be concave and have holes, object frame, m
     height: float  # m
 
 
 @dataclass(frozen=True, eq=False)
 class TrueObject:
-    """An object's true maps, shape and looks. The object frame has z = 0 on the underside, z up.
+    """An object's true maps, shape and looks. The object frame has z = 0 at the underside, z up.
 
     Raises:
-        ValueError: arrays that do not fit the grid, or numbers out of range; names the cell.
+        ValueError: arrays do not fit the grid, or numbers are out of range; names the cell.
     """
 
-    name: str  # as in messages and in the scene
+    name: str  # used in messages and in the scene
     grid: CellGrid  # n cells and the outline
     labels: NDArray[np.int64]  # (n,) region of each cell, from 0
     mass: FloatArray  # (n,) kg
     mu: FloatArray  # (n,) friction coefficients with the table
     mu_finger: float  # friction coefficient with the finger
     height: FloatArray  # (n,) of the object over each cell, m
-    mesh: trimesh.Trimesh  # what cameras see, object frame, m, with a colour on each face
+    mesh: trimesh.Trimesh  # shape that cameras see, object frame, m, with a colour on each face
     colors: FloatArray  # (R, 4) red, green, blue, opacity of each region, 0 to 1
-    blocks: tuple[Block, ...]  # what a finger touches; together they cover the outline
+    blocks: tuple[Block, ...]  # shape that a finger touches; together they cover the outline
 
     def __post_init__(self) -> None:
         n = len(self.grid)
@@ -66,7 +66,7 @@ class TrueObject:
         labels = np.asarray(self.labels, dtype=np.int64)
         if labels.shape != (n,) or labels.min() < 0 or labels.max() >= len(self.colors):
             raise ValueError(
-                f"{self.name}: labels must name one of {len(self.colors)} regions for each of {n} cells"
+                f"{self.name}: labels must give each of {n} cells one of {len(self.colors)} regions, from 0"
             )
         object.__setattr__(self, "labels", labels)
         base = float(self.mesh.bounds[0, 2])
@@ -80,12 +80,12 @@ class TrueObject:
 
     @property
     def total_mass(self) -> float:
-        """kg."""
+        """Total mass, kg."""
         return float(self.mass.sum())
 
     @property
     def center_of_mass(self) -> FloatArray:
-        """(3,) object frame, m; each cell is an upright box of its height."""
+        """(3,) centre of mass, object frame, m; each cell counts as an upright box of its height."""
         r = np.column_stack([self.grid.centers, self.height / 2])
         return self.mass @ r / self.total_mass
 
@@ -100,20 +100,20 @@ def object_from_mesh(
     up: ArrayLike | None = None,
     metres_per_unit: float | None = None,
 ) -> TrueObject:
-    """A user's own object of one material, from a mesh file.
+    """A user's object of one material, from a mesh file.
 
-    The mesh is set down on its lowest point. Mass is shared out among the cells by the height of the object
-    over them, as in a solid body; friction is the same everywhere.
+    The mesh rests on its lowest point. Mass is distributed over the cells in proportion to the object's
+    height there, as in a solid body; friction is uniform.
 
     Args:
         path: a file that trimesh can load.
-        mass: of the whole object, kg.
+        mass: total mass, kg.
         mu, mu_finger: friction coefficients with the table and with the finger.
-        count, up, metres_per_unit: as of `cells_from_mesh`.
+        count, up, metres_per_unit: as in `cells_from_mesh`.
 
     Raises:
-        ValueError: a file that cannot be used (see `cells_from_mesh`), a mesh that is flat, or a mass or
-            friction out of range.
+        ValueError: the file cannot be used (see `cells_from_mesh`), the mesh is flat, or mass or friction is
+            out of range.
     """
     source = f"mesh {Path(path)}"
     _positive(mass, f"{source}: mass", "kg")
@@ -126,8 +126,8 @@ def object_from_mesh(
     thin = np.flatnonzero(height <= 0)
     if len(thin):
         raise ValueError(
-            f"{source}: it is flat over {len(thin)} of {len(grid)} cells; mass is shared out by height, so"
-            " the object needs a thickness everywhere"
+            f"{source}: it is flat over {len(thin)} of {len(grid)} cells; mass is distributed by height, so"
+            " the object needs some thickness everywhere"
         )
     colors = _region_colors(1)
     return TrueObject(
@@ -155,21 +155,21 @@ def object_from_labels(
     count: int = DEFAULT_CELLS,
     background: int = 0,
 ) -> TrueObject:
-    """A user's own object of several materials, from a picture whose pixels name its segments.
+    """A user's object of several materials, from a picture whose pixels name its segments.
 
     Args:
         path: picture with one channel.
         metres_per_pixel: side of a pixel, m.
-        mass: label to the segment's whole mass, kg, shared out evenly among its cells.
-        mu: label to the segment's friction coefficient with the table.
+        mass: label: total mass of the segment, kg, shared equally by its cells.
+        mu: label: friction coefficient of the segment with the table.
         height: of the object, m.
         mu_finger: friction coefficient with the finger.
         count: wanted number of cells.
-        background: label of what is not the object.
+        background: label of pixels outside the object.
 
     Raises:
-        ValueError: a picture that cannot be used (see `cells_from_label_image`), a label without mass or
-            friction, or one that no cell has; names the file and the labels.
+        ValueError: the picture cannot be used (see `cells_from_label_image`), or the labels of mass or
+            friction are not those of the cells; names the file and the labels.
     """
     source = f"label image {Path(path)}"
     _positive(height, f"{source}: height", "m")
@@ -179,7 +179,7 @@ def object_from_labels(
     for what, values in (("mass", mass), ("mu", mu)):
         if set(values) != set(names.tolist()):
             raise ValueError(
-                f"{source}: {what} must be given for the labels {listed} that cells have, got "
+                f"{source}: {what} must be given for the labels {listed} that occur in cells, got "
                 f"{', '.join(str(key) for key in sorted(values)) or 'none'}"
             )
     share = np.array([mass[int(name)] for name in names]) / np.bincount(labels)
@@ -206,19 +206,18 @@ def object_from_labels(
 
 
 def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
-    """(n,) height of a mesh over each cell, m: at its centre, or where the mesh does not cover that, over
-    the nearest cell that it does cover."""
+    """(n,) height of a mesh at each cell's centre, m, or at the nearest cell centre that the mesh covers."""
     height = meshes.height_over(mesh, grid.centers)
     covered = np.flatnonzero(np.isfinite(height))
     if len(covered) == 0:
-        raise ValueError("mesh: covers no centre of a cell; are mesh and cells in one frame?")
+        raise ValueError("mesh: covers no cell centre; are mesh and cells in the same frame?")
     apart = np.linalg.norm(grid.centers[:, None] - grid.centers[covered], axis=2)
     return height[covered[np.argmin(apart, axis=1)]]
 
 
 def _regions(grid: CellGrid, labels: NDArray[np.int64]) -> list[list[Polygon]]:
-    """Parts of the outline that lie nearest to the cells of each label."""
-    # Of a square grid four regions meet in every corner; moved a little, three do, which GEOS can take.
+    """Parts of the outline that are nearest to the cells of each label."""
+    # In a square grid four Voronoi regions meet at every corner; moved a little, three do, which suits GEOS.
     moved = grid.centers + 1e-4 * grid.width * np.random.default_rng(0).uniform(-1, 1, grid.centers.shape)
     nearest = shapely.get_parts(
         shapely.voronoi_polygons(
@@ -234,7 +233,7 @@ def _regions(grid: CellGrid, labels: NDArray[np.int64]) -> list[list[Polygon]]:
 
 
 def _region_colors(count: int) -> FloatArray:
-    """(count, 4) colours that tell regions apart."""
+    """(count, 4) distinct colours for regions; they repeat after eight."""
     codes = [_PALETTE[k % len(_PALETTE)] for k in range(count)]
     return np.array([[*(int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0] for code in codes])
 

@@ -1,1 +1,1 @@
-"""From depth pictures to the object: table, mask, footprint, cells, and the pose push after push."""
+"""Perception of the object in depth pictures: table, mask, footprint, cells, and its pose push after push."""

@@ -1,7 +1,7 @@
-"""What is done at every point of the outline when an object is followed, in machine code.
+"""Compiled kernels of pose tracking, for every point of the outline.
 
-It calls nothing of another file, so that numba compiles it anew whenever something in it changes. A `picture`
-is a `HeightPicture`.
+They call no kernel of another file, so Numba recompiles them whenever something in this file changes. A
+`picture` is a `HeightPicture`.
 """
 
 from typing import NamedTuple
@@ -13,19 +13,19 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
 SPACING = 1e-3
-"""m between the points of a relief."""
+"""Distance between the points of a relief, m."""
 
 SMOOTHING = 1.0
-"""pixels; standard deviation with which heights in a picture are averaged."""
+"""Standard deviation of the Gaussian that averages heights in a picture, pixels."""
 
-_FAR_AWAY = 1e6  # points of a map; a ray that is nearly level
+_FAR_AWAY = 1e6  # points of a map; only a nearly level ray goes farther
 _LEVEL = 2e-3  # m between the heights at which a ray is compared with the relief
 _STEP = 0.5  # pixels between readings along a normal
 _PREDICTED = 5.0  # pixels from an outline point within which its edge is expected in the picture
 _TINY = 1e-4  # m
-_HEIGHT_ERROR = 1.5e-3  # m; a height off by this, where the top is level, counts like an edge a pixel off
+_HEIGHT_ERROR = 1.5e-3  # m; on a level top, a height error of this size counts like an edge one pixel off
 _LEAST_SLOPE = 0.05
-_UNLIKE = 0.005  # m; a point whose height is off by more does not fit at all
+_UNLIKE = 0.005  # m; a point with a larger height error does not fit at all
 _OUTSIDE = 3.0  # pixels beyond the outline
 
 
@@ -35,7 +35,7 @@ _BELL /= _BELL.sum()
 
 
 class Lens(NamedTuple):
-    """A camera at its place; see `PinholeCamera` and `View`."""
+    """A camera at its pose; see `PinholeCamera` and `View`."""
 
     focal_x: float
     focal_y: float
@@ -46,10 +46,10 @@ class Lens(NamedTuple):
 
 
 class Land(NamedTuple):
-    """What stands on a table, as a map in the object's frame; see `TablePlane` and `Relief`.
+    """The object on a table, as a height map in the object's frame; see `TablePlane` and `Relief`.
 
-    `plane` (3,) slopes and height of the table; `corner` (2,) first point of the map, `heights` (rows,
-    columns), nowhere higher than `highest`.
+    `plane` (3,): slopes and height of the table; `corner` (2,): first point of the map; `heights` (rows,
+    columns); `highest`: their maximum.
     """
 
     plane: FloatArray
@@ -59,10 +59,10 @@ class Land(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """An object that was seen; see `SeenObject`.
+    """The seen object; see `SeenObject`.
 
-    `points`, `normals` (m, 2), `edges`, `rims` (m,) of the outline; `inner` (k, 2), `tops` (k,), `slopes`
-    (k, 2) of the points inside.
+    `points`, `normals` (m, 2), `edges`, `rims` (m,): of the outline; `inner` (k, 2), `tops` (k,), `slopes`
+    (k, 2): of the points inside.
     """
 
     land: Land
@@ -94,7 +94,7 @@ def _project(lens, plane, x, y, height):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _read(picture, u, v):  # type: ignore[no-untyped-def]
-    """Height between the pixels; NaN where one of the four around is missing."""
+    """Height interpolated between pixels; NaN if one of the four around is missing."""
     x, y = u - picture.first_column, v - picture.first_row
     rows, columns = picture.values.shape
     if not (x >= 0.0 and y >= 0.0 and x < columns - 1 and y < rows - 1):
@@ -108,7 +108,7 @@ def _read(picture, u, v):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _within(begin, end, size, number):  # type: ignore[no-untyped-def]
-    """First and last of `number` steps from `begin` to `end` that may be from -0.5 to size - 0.5."""
+    """First and last of `number` steps from `begin` to `end` that may lie between -0.5 and size - 0.5."""
     if begin == end:
         if -1.0 < begin < size:
             return 0, number
@@ -122,9 +122,9 @@ def _within(begin, end, size, number):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
-    """Height that a camera without noise sees at a pixel, of an object turned by an angle of cosine c.
+    """Height that a camera without noise sees at a pixel, for an object at a pose with cosine c and sine s.
 
-    The ray is followed from the highest level down until the map is as high as it.
+    The ray is followed from the highest level down until it meets the map.
     """
     rows, columns = land.heights.shape
     a, b = (u - lens.center_x) / lens.focal_x, (v - lens.center_y) / lens.focal_y
@@ -133,7 +133,7 @@ def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
     ray_y = a * R[1, 0] + b * R[1, 1] + R[1, 2]
     along = a * R[2, 0] + b * R[2, 1] + R[2, 2] - plane[0] * ray_x - plane[1] * ray_y
     depth = (plane[2] + plane[0] * p[0] + plane[1] * p[1] - p[2]) / along
-    # Where the ray passes the table and the highest level, as columns and rows of the map.
+    # Where the ray meets the table and the highest level, as columns and rows of the map.
     dx, dy = p[0] + depth * ray_x - pose[0], p[1] + depth * ray_y - pose[1]
     x0 = (c * dx + s * dy - land.corner[0]) / SPACING
     y0 = (c * dy - s * dx - land.corner[1]) / SPACING
@@ -144,7 +144,7 @@ def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
         return 0.0
     number = max(1, int(np.ceil(land.highest / _LEVEL)))
     step = land.highest / number
-    # Only between these levels does it pass over the map.
+    # It is over the map only between these levels.
     first, last = _within(x1, x0, columns, number)
     other, end = _within(y1, y0, rows, number)
     first, last = max(first, other), min(last, end)
@@ -159,7 +159,7 @@ def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
         if here >= 0.0:
             if k == 0:
                 return land.highest
-            # A map that rises by more than the levels' distance is a flank: halfway is the best guess.
+            # A map that rises by more than one level is a flank: halfway is the best guess.
             part = 0.5 if here > step else here / (here - before)
             return level + part * step
         before = here
@@ -170,7 +170,7 @@ def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
 def _is_far(lens, shape, c, s, pose, i):  # type: ignore[no-untyped-def]
     """Whether an outline point lies on an edge that faces away from the camera.
 
-    There the top hides the foot, and the edge in the picture is the rim's; elsewhere the flank is seen.
+    There the top hides the foot, and the edge in the picture is that of the rim; elsewhere the flank is seen.
     """
     x, y = shape.points[i]
     n, m = shape.normals[i]
@@ -183,8 +183,8 @@ def lines_across(lens, shape, pose):  # type: ignore[no-untyped-def]
     """Lines in the picture across the outline, on which edges are searched.
 
     Returns:
-        (m, 7): the pixel that an outline point is projected to, the unit vector out of the object there, and
-        how far the point moves along that for a change of x, y and theta.
+        (m, 7): the pixel of an outline point, the unit vector out of the object there, and the point's motion
+        along it per change of x, y and theta.
     """
     lines = np.empty((len(shape.points), 7))
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -213,7 +213,7 @@ def lines_across(lens, shape, pose):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _falls_through(profile, level, first):  # type: ignore[no-untyped-def]
-    """Offset nearest to 0 at which readings from offset `first` on fall through a level; NaN if nowhere."""
+    """Offset nearest to 0 at which readings, the first at offset `first`, fall through a level; else NaN."""
     nearest = np.nan
     for j in range(len(profile) - 1):
         over, after = profile[j] - level, profile[j + 1] - level
@@ -226,7 +226,7 @@ def _falls_through(profile, level, first):  # type: ignore[no-untyped-def]
 
 @_compiled
 def edges_found(picture, shape, lines, reach):  # type: ignore[no-untyped-def]
-    """(m,) where on each line the edge in the picture lies, pixels; NaN if not within reach."""
+    """(m,) position of the picture's edge on each line, pixels; NaN if not within reach."""
     profile = np.empty(int(2 * reach / _STEP + 1.5))
     found = np.empty(len(lines))
     for i in range(len(lines)):
@@ -240,7 +240,7 @@ def edges_found(picture, shape, lines, reach):  # type: ignore[no-untyped-def]
 
 @_compiled
 def edges_expected(lens, shape, pose, lines):  # type: ignore[no-untyped-def]
-    """(m,) where on each line the edge should be if the object is at a pose, pixels."""
+    """(m,) expected position of the edge on each line for an object at a pose, pixels."""
     number, half = int(2 * _PREDICTED / _STEP + 1.5), len(_BELL) // 2
     c, s = np.cos(pose[2]), np.sin(pose[2])
     profile, smooth = np.empty(number), np.empty(number)
@@ -262,14 +262,14 @@ def edges_expected(lens, shape, pose, lines):  # type: ignore[no-untyped-def]
 
 @_compiled
 def heights_off(picture, lens, shape, pose, pixel):  # type: ignore[no-untyped-def]
-    """Heights read at sloping points inside less those expected, and their change with the pose.
+    """Measured minus expected heights at sloping points inside, and their change with the pose.
 
     Args:
         pixel: side of a pixel on the table, m.
 
     Returns:
-        (k, 4) both scaled such that 1 is as unlikely as an edge one pixel off; NaN where nothing is read or
-        the top is level.
+        (k, 4), both scaled so that 1 is as unlikely as an edge one pixel off; NaN where there is no reading
+        or the top is level.
     """
     off = np.full((len(shape.inner), 4), np.nan)
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -281,7 +281,7 @@ def heights_off(picture, lens, shape, pose, pixel):  # type: ignore[no-untyped-d
         x, y = shape.inner[i]
         arm_x, arm_y = c * x - s * y, s * x + c * y
         u, v = _project(lens, shape.land.plane, arm_x + pose[0], arm_y + pose[1], shape.tops[i])
-        # An object that moves uphill leaves lower places behind.
+        # If the object moves uphill along its slope, the height at a fixed place falls.
         slope_x, slope_y = c * along - s * aside, s * along + c * aside
         scale = 1.0 / np.hypot(_HEIGHT_ERROR, steep * pixel / 2)
         off[i, 0] = scale * (_read(picture, u, v) - shape.tops[i])
@@ -309,7 +309,7 @@ def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-u
     for i in range(0, len(shape.points), every):
         x = shape.points[i, 0] + _OUTSIDE * pixel * shape.normals[i, 0]
         y = shape.points[i, 1] + _OUTSIDE * pixel * shape.normals[i, 1]
-        # Past the top of the far side, and before the foot of the near side, lies the table.
+        # Past the top on the far side and in front of the foot on the near side lies the table.
         height = shape.rims[i] if _is_far(lens, shape, c, s, pose, i) else 0.0
         u, v = _project(lens, shape.land.plane, c * x - s * y + pose[0], s * x + c * y + pose[1], height)
         read = _read(picture, u, v)
@@ -322,14 +322,14 @@ def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-u
 
 @_compiled
 def mean_misfits(picture, lens, shape, poses, pixel, every):  # type: ignore[no-untyped-def]
-    """How badly heights inside, and the table outside, agree with a picture at each of the poses (k, 3).
+    """Misfit of the heights inside and the table outside to a picture, at each of the poses (k, 3).
 
     Args:
         pixel: side of a pixel on the table, m.
-        every: which points are looked at: each, each second, …
+        every: use every point (1), every second point (2), …
 
     Returns:
-        (k, 2): from 0 to 1, and the share of the inner points that are seen.
+        (k, 2): misfit from 0 to 1, and the share of the inner points that are seen.
     """
     result = np.empty((len(poses), 2))
     for k in range(len(poses)):

@@ -1,5 +1,5 @@
-"""The first look: from pictures of an object at rest to its footprint, heights and cells; and the picture,
-kept for a later process."""
+"""The first look: footprint, heights and cells of an object at rest from depth pictures; and the picture
+itself, stored for a later process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _OUTLINE_POINTS = 300
 _INNER_POINTS = 400
-_INSET = 0.006  # m between inner points and the outline, or half of what the object's width allows
+_INSET = 0.006  # m between inner points and the outline, less for narrow objects
 _RIM = 1.5e-3  # m
 ARM_NEAR = 6
 """Pixels between object and arm below which the first look waits."""
@@ -51,7 +51,7 @@ _LARGEST_FILE = 2**29  # bytes, unpacked; pictures are at most 4096 by 4096
 
 
 class ObjectNotSeen(ValueError):
-    """The first look found no object. `reason` is that of `ObservedPose`."""
+    """The first look found no object; `reason` as in `ObservedPose`."""
 
     def __init__(self, reason: Reason, text: str) -> None:
         super().__init__(text)
@@ -61,18 +61,18 @@ class ObjectNotSeen(ValueError):
 def first_look(
     frames: Sequence[DepthImage], view: View, cells: int = 60, blocked: Mask | None = None
 ) -> SeenObject:
-    """The object on the table, from depth pictures between which nothing moved.
+    """Find the object on the table in depth pictures of a scene at rest.
 
     Args:
         frames: at least one depth image (H, W), m; 0 or NaN where there is no reading, inf beyond the range.
             A pixel's reading is the median over the frames that have one; an odd number is best.
         cells: wanted number of cells.
-        blocked: (H, W) pixels that show the arm, as from `draw_hulls`.
+        blocked: (H, W) pixels that show the arm, such as from `draw_hulls`.
 
     Raises:
         NoTable: there is no table near z = 0 of W.
-        ObjectNotSeen: nothing stands on the table, or the arm hides some of it.
-        ValueError: no frames, or a picture of the wrong size.
+        ObjectNotSeen: nothing stands on the table, or the arm hides part of it.
+        ValueError: there are no frames, or a picture has the wrong size.
     """
     if len(frames) == 0:
         raise ValueError("first look: needs at least one depth image")
@@ -99,8 +99,8 @@ def first_look(
         relief=relief,
         table=table,
     )
-    # The outline was traced and poses are fitted to edges; what differs between the two cancels out of every
-    # motion if the first pose is fitted as well.
+    # The outline is traced, but poses are fitted to edges. If the first pose is fitted too, the difference
+    # between the two methods cancels out of every motion.
     picture = HeightPicture(heights)
     fit = fit_edges(picture, view, seen, seen.first_pose, _REACHES)
     fitted = replace(seen, first_pose=fit.pose)
@@ -115,7 +115,7 @@ def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None
     """(2,) mean column and row of the object's pixels: a quick measure of whether it moves.
 
     Raises:
-        NoTable, ObjectNotSeen: as `first_look`.
+        NoTable, ObjectNotSeen: as in `first_look`.
     """
     depth = median_depth([view.checked_depth(frame) for frame in frames])
     *_, mask = _standing_object(depth, view, blocked)
@@ -126,7 +126,7 @@ def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None
 def _standing_object(
     depth: DepthImage, view: View, blocked: Mask | None
 ) -> tuple[TablePlane, Heights, Heights, Mask]:
-    """The table, heights (H, W) over it as read and smoothed, and the object's pixels, away from the arm."""
+    """The table, raw and smoothed heights (H, W) over it, and the object's pixels, away from the arm."""
     table = fit_table(depth if blocked is None else np.where(blocked, np.float32(0), depth), view)
     raw = table.heights(depth, view)
     heights = smoothed_heights(raw, blocked)
@@ -135,23 +135,23 @@ def _standing_object(
         raise ObjectNotSeen(
             "no object",
             f"nothing on the table is higher than the {1e3 * least_height(heights):.0f} mm that this camera"
-            f" tells from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
+            f" can distinguish from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
         )
     if blocked is not None:
         size = 2 * ARM_NEAR + 1
         around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
         if np.any(around & blocked):
-            raise ObjectNotSeen("occluded", "the arm is in front of the object or beside it; move it away")
+            raise ObjectNotSeen("occluded", "the arm is in front of the object or next to it; move it away")
     return table, raw, heights, mask
 
 
 def median_depth(frames: Sequence[DepthImage]) -> DepthImage:
     """Median of each pixel's readings, m; 0 where no frame has one, inf where most are beyond the range.
 
-    A mean would turn the edges, which jitter, into slopes. Of two middle readings the nearer one is taken.
+    A mean would turn jittering edges into slopes. Of two middle readings the nearer one is taken.
     """
     stack = np.stack(frames)
-    stack[~(stack > 0)] = np.nan  # sorted to the end
+    stack[~(stack > 0)] = np.nan  # sorts to the end
     stack.sort(axis=0)
     count = np.sum(~np.isnan(stack), axis=0)
     middle = np.take_along_axis(stack, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
@@ -195,22 +195,22 @@ def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
 
 @dataclass(frozen=True, eq=False)
 class FirstPicture:
-    """The picture from which an object was cut into cells."""
+    """The picture from which an object's cells were made."""
 
     depth: DepthImage  # (H, W) median of the pictures of the first look, m
     X_WC: FloatArray  # (4, 4) pose of the camera in W
     blocked: Mask  # (H, W) pixels that showed the arm
-    cells: int  # wanted number of them
+    cells: int  # wanted number of cells
     # noisy, missing: see `PictureHistory`
     noisy: bool
     missing: float
 
     def seen(self, camera: PinholeCamera) -> SeenObject:
-        """What the first look found. Raises NoTable, ObjectNotSeen, ValueError as `first_look`."""
+        """Repeat the first look. Raises NoTable, ObjectNotSeen, ValueError as `first_look` does."""
         return first_look([self.depth], View(camera, self.X_WC), self.cells, self.blocked)
 
     def save(self, file: IO[bytes]) -> None:
-        """Write it, compressed, to a binary file."""
+        """Write the picture, compressed, to a binary file."""
         np.savez_compressed(file, **vars(self))
 
     @staticmethod
@@ -218,7 +218,7 @@ class FirstPicture:
         """Read what `save` wrote.
 
         Raises:
-            OSError, ValueError, KeyError, BadZipFile: the file cannot be read, or is another.
+            OSError, ValueError, KeyError, BadZipFile: the file cannot be read, or is of another kind.
         """
         check_archive(path, _LARGEST_FILE)
         with np.load(path, allow_pickle=False) as file:

@@ -1,7 +1,7 @@
-"""Pixels in a height picture: those of the object, which stands on the table in one piece, and of the arm.
+"""Pixels of the object and of the arm in a height picture, and checks whether a depth picture is valid.
 
-The arm's are drawn as convex hulls around its links. And whether a depth picture can be believed: a camera
-may stop, repeat itself, or send half a picture.
+The object stands on the table in one piece; the arm is drawn as convex hulls around its links. A camera may
+stop, repeat a picture, or send half of one.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_LOWEST = -0.005  # m; lower readings, beside the table, count as this: how deep the floor is does not matter
-_HIGHEST = 0.3  # m; nothing that stands on the table is higher
-_LEAST_WEIGHT = 0.3  # of a smoothed pixel's neighbourhood that has readings
+_LOWEST = -0.005  # m; lower readings, beside the table, are raised to this: the floor's depth does not matter
+_HIGHEST = 0.3  # m; no object on the table is higher
+_LEAST_WEIGHT = 0.3  # share of a smoothed pixel's neighbourhood that must have readings
 LEAST_AREA = 4e-4
-"""What a camera takes for an object covers more of the table than this, m²,"""
+"""An object must cover more of the table than this, m²."""
 LEAST_HEIGHT = 4e-3
-"""and is higher, m; with much noise, than 4 standard deviations of the table's heights."""
+"""An object must be higher than this, m, and than 4 standard deviations of the table's heights."""
 _FAINT, _CLEAR = 2.0, 4.0  # in standard deviations of the table's heights
-_FAINTEST = 2e-3  # m; the same for a table seen without noise
-_RAGGED = 5  # pixels; what sticks out of an edge by less, and no further along it, is noise
-_RIM = 2  # pixels; an edge blurred over less is taken at half its height
+_FAINTEST = 2e-3  # m; lower bound of the faint threshold, for a table seen without noise
+_RAGGED = 5  # pixels; smaller protrusions of an edge are noise
+_RIM = 2  # pixels; an edge blurred over less is placed at half its height
 
-_NEAREST = 0.05  # m; what is closer to the camera's plane is drawn as if at this depth, far outside
+_NEAREST = 0.05  # m; parts closer to the camera's plane are drawn at this depth, far outside the picture
 _FARTHEST_PIXEL = 10_000
-_MANY = 8  # balls; of more, only those at the border are drawn
+_MANY = 8  # balls; of a larger number only those at the border are drawn
 _CIRCLE = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 _DISC = np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
 
 
 class HeightPicture(NamedTuple):
-    """Smoothed heights (h, w) of a part of a picture from a pixel on, m; NaN where nothing is seen."""
+    """Smoothed heights (h, w) of part of a picture, starting at some pixel, m; NaN where nothing is seen."""
 
     values: Heights
     first_column: float = 0.0
     first_row: float = 0.0
 
     def at(self, pixels: FloatArray) -> FloatArray:
-        """Heights (a, b) or (a,) at pixel coordinates (a, b, 2) or (a, 2), m; NaN beside missing readings."""
+        """Heights (a, b) or (a,) at pixel coordinates (a, b, 2) or (a, 2), m; NaN near missing readings."""
         where = (pixels - np.array([self.first_column, self.first_row])).astype(np.float32)
         flat = where.reshape(len(where), -1, 2)
         read = cv2.remap(
@@ -61,9 +61,9 @@ class HeightPicture(NamedTuple):
 
 
 def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
-    """Heights (h, w) over the table, m, averaged with their neighbours; those the arm blocks are left out.
+    """Heights (h, w) over the table, m, averaged with their neighbours, without pixels that the arm blocks.
 
-    NaN is no reading; small gaps are filled, larger ones stay.
+    NaN means no reading; small gaps are filled, larger ones stay.
     """
     seen = (heights < _HIGHEST) if blocked is None else (heights < _HIGHEST) & ~blocked
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), SMOOTHING)
@@ -82,17 +82,18 @@ def _table_noise(heights: Heights) -> float:
 
 
 def least_height(heights: Heights) -> float:
-    """Height over the table that tells an object from noise, in smoothed heights (H, W), m."""
+    """Least height over the table that separates an object from noise in smoothed heights (H, W), m."""
     return max(LEAST_HEIGHT, _CLEAR * _table_noise(heights))
 
 
 def object_mask(heights: Heights, view: View) -> Mask | None:
     """(H, W) pixels of the object in smoothed heights (H, W), m; None if nothing stands on the table.
 
-    A pixel belongs to it if it is faintly higher than the table and joined to one that is so clearly; of
-    several pieces the largest is the object. Pixels without a reading count if they lie between two of the
-    object in their row or column, as on shiny metal; those along one side of it do not: the shadow that a
-    tall object casts in stereo. An edge is taken at half the height that the object has beside it.
+    A pixel belongs to the object if it is at least faintly higher than the table and connected to one that is
+    clearly higher; of several pieces the largest is the object. Pixels without a reading count if they lie
+    between two object pixels in their row or column, as on shiny metal. Those along one side of the object do
+    not: they are the stereo shadow of a tall object. An edge is placed at half the height of the object next
+    to it.
     """
     noise = _table_noise(heights)
     faint = heights > max(_FAINTEST, _FAINT * noise)
@@ -128,7 +129,7 @@ def _without_rim(mask: Mask, heights: Heights) -> Mask:
 
 
 class Hull(NamedTuple):
-    """Convex hull of balls: two make a capsule, the eight corners with radius 0 a box."""
+    """Convex hull of balls: two make a capsule, eight corners with radius 0 a box."""
 
     points: FloatArray  # (k, 3) the balls' centres in W, m
     radius: float  # of the balls, m
@@ -138,8 +139,8 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
     """(H, W) pixels that may show one of the hulls.
 
     Args:
-        hulls: around the arm's links and whatever it holds.
-        margin: added around each, m; for the readings' jitter and small errors of the arm's pose.
+        hulls: around the arm's links and anything it holds.
+        margin: added around each, m, for jitter of readings and small errors of the arm's pose.
     """
     camera, picture = view.camera, np.zeros((view.camera.height, view.camera.width), np.uint8)
     if not hulls:
@@ -156,7 +157,7 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
             camera.focal_y * p_C[:, 1] / depth + camera.center_y,
         ]
     )
-    # Off the axis a ball looks like an ellipse, longer by the secant of the angle: a disc that covers it.
+    # Off the axis a ball looks like an ellipse, longer by the secant of the angle; this disc covers it.
     secant = np.hypot(1.0, np.hypot(p_C[:, 0], p_C[:, 1]) / depth)
     radius = np.repeat([hull.radius + margin for hull in hulls], sizes) * focal / depth * secant
     low = np.minimum.reduceat(center - radius[:, None], first[:-1])
@@ -164,7 +165,7 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
     beside = (high < -1.0).any(axis=1) | (low > [camera.width, camera.height]).any(axis=1)
     for hull in np.flatnonzero(~behind & ~beside):
         balls = np.arange(first[hull], first[hull + 1])
-        if sizes[hull] > _MANY:  # those in the middle of the others are not at the border
+        if sizes[hull] > _MANY:  # balls surrounded by others are not at the border
             balls = balls[cv2.convexHull(center[balls].astype(np.float32), returnPoints=False).ravel()]
         discs = center[balls, None] + radius[balls, None, None] * _DISC
         corners = np.round(np.clip(discs, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)).astype(np.int32)
@@ -174,10 +175,10 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
 
 @compiled(LONE_FOLDER, nogil=True)
 def between(mask, missing):  # type: ignore[no-untyped-def]
-    """(H, W) missing pixels in runs, along rows or columns, that end at the mask on both sides."""
+    """(H, W) missing pixels in runs, along rows or columns, with the mask at both ends."""
     height, width = mask.shape
     found = np.zeros((height, width), np.bool_)
-    above = np.full(width, -1)  # last row in each column that is known, if it is of the mask
+    above = np.full(width, -1)  # last known row in each column if it is in the mask, else -1
     for row in range(height):
         left = -1
         for column in range(width):
@@ -197,30 +198,30 @@ def between(mask, missing):  # type: ignore[no-untyped-def]
 Fault = Literal["", "no picture", "old picture", "torn picture", "corrupt picture"]
 
 REMEMBERED = 4
-"""Pictures with whose rows those of a new one are compared."""
+"""Number of earlier pictures with whose rows those of a new one are compared."""
 
-_SPAN = (0.05, 20.0)  # m; a finite reading beyond is none
+_SPAN = (0.05, 20.0)  # m; finite readings outside are invalid
 _USABLE = 30  # readings that make a row worth comparing
-_TORN = 0.02  # of the rows
-_CORRUPT = 0.1  # of the pixels, without a reading beyond those that usually have none
+_TORN = 0.02  # share of the rows
+_CORRUPT = 0.1  # share of the pixels without a reading, beyond the usual share
 _SPOILT = 0.01  # the same for a picture in which the object is not found
 
 
 @dataclass(frozen=True, eq=False)
 class PictureHistory:
-    """What is known of the pictures before."""
+    """Knowledge from earlier pictures."""
 
-    # sums (H,) of the rows of the newest that could be believed, at most `REMEMBERED`
+    # row sums (H,) of the newest valid pictures, at most `REMEMBERED`
     recent: tuple[NDArray[np.uint64], ...] = ()
-    taken: float = 0.0  # when the newest was, s
-    # whether no two pictures of this camera have a row in common, so that one that does is not new
+    taken: float = 0.0  # time of the newest one, s
+    # whether no two pictures of this camera share a row, so that one that does is not new
     noisy: bool = False
     missing: float = 1.0  # usual share of pixels without a reading
 
     def learned(self, frames: Sequence[DepthImage], blocked: Mask | None) -> PictureHistory:
-        """With what pictures (H, W) of a scene at rest tell of their noise.
+        """The history, with the noise learned from pictures (H, W) of a scene at rest.
 
-        Two pictures of a camera without noise have rows in common wherever nothing moves.
+        Two pictures of a camera without noise share rows wherever nothing moves.
         """
         noisy = any(
             not (_row_sums(one) == _row_sums(other))[_usable(one)].any() for one, other in pairwise(frames)
@@ -230,13 +231,13 @@ class PictureHistory:
     def judged(
         self, image: DepthImage, taken: float, now: float, oldest: float, blocked: Mask | None
     ) -> tuple[Fault, bool, PictureHistory]:
-        """What is wrong with a picture, whether it is new, and the history with it.
+        """The fault of a picture, whether it is new, and the history with it.
 
         Args:
             image: (H, W) m, as from `readings`.
-            taken: when it was, as its sender says, s.
-            now: s.
-            oldest: age from which a picture is too old, s.
+            taken: its time according to the sender, s.
+            now: the time now, s.
+            oldest: age beyond which a picture is too old, s.
             blocked: (H, W) pixels that show the arm.
         """
         sums, usable = _row_sums(image), _usable(image)
@@ -251,30 +252,30 @@ class PictureHistory:
         return ("old picture" if now - self.taken > oldest else ""), False, self
 
     def spoilt(self, image: DepthImage, blocked: Mask | None) -> bool:
-        """Whether pixels without a reading may be why an object is not found."""
+        """Whether missing readings may explain why an object is not found."""
         return missing(image, blocked) > self.missing + _SPOILT
 
 
 def readings(image: DepthImage) -> DepthImage:
-    """A copy (H, W) of a depth picture, m; 0 for all that cannot be a reading, inf beyond the range."""
+    """A copy (H, W) of a depth picture, m; invalid readings become 0, inf means beyond the range."""
     low, high = _SPAN
     possible = (image >= low) & ((image <= high) | np.isposinf(image))
     return np.where(possible, image, np.float32(0))
 
 
 def missing(image: DepthImage, blocked: Mask | None) -> float:
-    """Share of the pixels without a reading, of those that do not show the arm."""
+    """Share of pixels without a reading among those that do not show the arm."""
     empty = image == 0 if blocked is None else (image == 0)[~blocked]
     return float(empty.mean()) if empty.size else 1.0
 
 
 def _row_sums(image: DepthImage) -> NDArray[np.uint64]:
-    """(H,) a number for each row of a picture that is practically never that of another row."""
+    """(H,) hash of each row of a picture, practically unique."""
     bits = np.ascontiguousarray(image, dtype=np.float32).view(np.uint32).astype(np.uint64)
     weights = np.random.default_rng(0).integers(1, 2**63, size=bits.shape[1], dtype=np.uint64)
     return np.asarray(bits @ (2 * weights + 1))  # modulo 2^64
 
 
 def _usable(image: DepthImage) -> NDArray[np.bool_]:
-    """(H,) rows with readings enough to be worth comparing."""
+    """(H,) rows with enough readings to be worth comparing."""
     return np.asarray((np.isfinite(image) & (image > 0)).sum(axis=1) >= _USABLE)

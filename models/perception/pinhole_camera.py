@@ -1,7 +1,7 @@
 """The pinhole camera, and the table in its depth pictures.
 
-Pixel coordinates are (column, row), whole numbers at the centres of pixels. The camera frame C has x to the
-picture's right, y to its bottom and z along the view; depth is the z coordinate in C, not the distance.
+Pixel coordinates are (column, row), integers at the centres of pixels. The camera frame C has x to the right
+of the picture, y to its bottom and z along the view; depth is the z coordinate in C, not the distance.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class PinholeCamera:
         center_x, center_y: where the optical axis meets the picture, pixels.
 
     Raises:
-        ValueError: a size or a focal length that is not positive.
+        ValueError: a size or focal length is not positive.
     """
 
     width: int
@@ -44,7 +44,7 @@ class PinholeCamera:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera at its place in the world.
+    """A camera at its pose in the world.
 
     Raises:
         ValueError: X_WC is not a rigid transform.
@@ -69,9 +69,9 @@ class View:
 
     @cached_property
     def lens(self) -> Lens:
-        """The camera at its place, for kernels."""
+        """The camera at its pose, for kernels."""
         camera, R_WC = self.camera, np.array(self.X_WC[:3, :3], order="C")
-        # Whole numbers would have kernels compiled once more.
+        # Integers would make the kernels compile again.
         focal_x, focal_y = float(camera.focal_x), float(camera.focal_y)
         center_x, center_y = float(camera.center_x), float(camera.center_y)
         return Lens(focal_x, focal_y, center_x, center_y, R_WC, np.array(self.p_WC))
@@ -110,15 +110,15 @@ class View:
         """The depth image as (H, W), without a trailing axis of one channel.
 
         Raises:
-            ValueError: its shape is not that of the camera's pictures.
+            ValueError: the shape is not that of the camera's pictures.
         """
         image = np.asarray(depth, dtype=np.float32)
         if image.ndim == 3 and image.shape[2] == 1:
             image = image[:, :, 0]
         if image.shape != (self.camera.height, self.camera.width):
             raise ValueError(
-                f"depth image: expected {self.camera.height} rows and {self.camera.width} columns as the "
-                f"camera has, got shape {image.shape}"
+                f"depth image: expected the camera's {self.camera.height} rows and"
+                f" {self.camera.width} columns, got shape {image.shape}"
             )
         return image
 
@@ -129,17 +129,17 @@ def pixel_size(view: View) -> float:
     return float(view.p_WC[2] / -view.X_WC[2, 2] / np.sqrt(camera.focal_x * camera.focal_y))
 
 
-SEARCHED = 0.04  # m; the table is looked for this far above and below W's z = 0
+SEARCHED = 0.04  # m; the table is searched this far above and below W's z = 0
 
 _SAMPLED = 20_000  # pixels; enough for a plane
 _BINS = 40
 _ROUNDS = 12
-_WIDEST, NARROWEST = 0.012, 0.004  # m; what belongs to the table, from the first to the last round
+_WIDEST, NARROWEST = 0.012, 0.004  # m; distance of inliers from the plane, from the first to the last round
 LEAST_SHARE = 0.02  # of the picture
 
 
 class NoTable(ValueError):
-    """There is no table in the picture. The text says where it was looked for."""
+    """There is no table in the picture. The text says where it was searched."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class TablePlane:
         return self.slope_x * xy[..., 0] + self.slope_y * xy[..., 1] + self.height
 
     def meet(self, pixels: FloatArray, heights: FloatArray | float, view: View) -> FloatArray:
-        """x and y in W (..., 2), m, where the rays of pixels (..., 2) pass a height (...) over the table."""
+        """x and y in W (..., 2), m, where the rays of pixels (..., 2) reach a height (...) over the table."""
         rays = view.rays_at(pixels)
         normal = np.array([-self.slope_x, -self.slope_y, 1.0])
         depth = (heights + self.height - normal @ view.p_WC) / (rays @ normal)
@@ -171,10 +171,10 @@ class TablePlane:
     ) -> NDArray[np.float32]:
         """Height over the table of each pixel of a part of the picture, m; NaN where there is no reading.
 
-        What lies beyond the camera's range is far below the table: -inf.
+        Pixels beyond the camera's range count as far below the table: -inf.
         """
         part = depth[rows, columns]
-        # Height is linear in depth along a ray, so one product a pixel is enough.
+        # Height is linear in depth along a ray, so one product per pixel is enough.
         normal = np.array([-self.slope_x, -self.slope_y, 1.0])
         along = view.rays[rows, columns] @ normal.astype(np.float32)
         start = np.float32(normal @ view.p_WC - self.height)
@@ -184,10 +184,10 @@ class TablePlane:
 
 
 def fit_table(depth: DepthImage, view: View) -> TablePlane:
-    """Plane of the table, from the level of most pixels, then least squares on ever closer ones.
+    """Fit the table's plane, from the most frequent height, by least squares on ever closer pixels.
 
-    The most frequent height near z = 0 starts the fit, so the table may fill less than half of the picture,
-    as long as nothing else near that height fills more.
+    The fit starts at the most frequent height near z = 0, so the table may fill less than half of the
+    picture, as long as nothing else near that height fills more.
 
     Args:
         depth: (H, W) depth, m; 0 or NaN where there is no reading.
@@ -217,7 +217,7 @@ def fit_table(depth: DepthImage, view: View) -> TablePlane:
         close = np.abs(near[:, 2] - columns @ plane) < width
         if close.sum() < LEAST_SHARE * sampled.size:
             raise NoTable(
-                "no table: too few of the points near z = 0 in the world frame lie in one plane: see whether"
+                "no table: too few of the points near z = 0 in the world frame lie in one plane; check that"
                 " the table fills enough of the picture, and the camera's noise"
             )
         plane = np.linalg.lstsq(columns[close], near[close, 2], rcond=None)[0]

@@ -1,11 +1,11 @@
-"""Where the object is now: its pose in a new depth picture, or a reason why it cannot be told.
+"""Pose tracking: the object's pose in a new depth picture, or the reason why it cannot be determined.
 
-Points along the outline are projected into the picture; along the normal of each, the heights are searched
-for the place at which they fall through half the edge's height. So are the heights that the camera would see
-of the object at the present pose, and Gauss-Newton moves the pose until the two places agree. This is RAPID
-(Harris and Stennett, BMVC 1990) with depth for brightness, and with the edges' places predicted from the
-object's relief: what the camera takes for an edge of a tall or rounded object depends on where it stands.
-Slopes inside the outline tell of the pose as well: heights read there are compared with the relief's.
+Points along the outline are projected into the picture. Along the normal of each, the measured heights are
+searched for the place where they fall through half the edge's height, and so are the heights that the camera
+would see of the object at the present pose. Gauss-Newton moves the pose until the two places agree. This is
+RAPID (Harris and Stennett, BMVC 1990) with depth in place of brightness, and with edges predicted from the
+object's relief, since the visible edge of a tall or rounded object depends on where it stands. Slopes inside
+the outline constrain the pose too: heights measured there are compared with the relief.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,14 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _HUBER = 1.0  # pixels
 _SETTLED = 0.02  # pixels
-_UNCHANGED = 0.3  # pixels; after a smaller move, edges are expected where they were on their lines
-# Neighbouring points read the same pixels: a point every pixel, pixels smoothed over three.
+_UNCHANGED = 0.3  # pixels; after a smaller move, edges are expected at the same place on their lines
+# Neighbouring points share pixels: there is a point per pixel, and pixels are smoothed over three.
 _CORRELATED = 4.0
 
 _NEAR_REACHES = (8.0, 5.0, *(3.0,) * 8)  # pixels
 _FAR_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, *(3.0,) * 8)
-_MARGIN = 28  # pixels around the object that are looked at when it has hardly moved
-# Where it is looked for first when it is not there: as far as it may have gone between two pictures.
+_MARGIN = 28  # pixels around the object that are searched when it has hardly moved
+# First places to try if it is not there: as far as it may have moved between two pictures.
 _BESIDE = np.stack(
     np.meshgrid(np.arange(-60, 61, 30) * 1e-3, np.arange(-60, 61, 30) * 1e-3, np.deg2rad([-8.0, 0.0, 8.0])),
     axis=-1,
@@ -45,34 +45,34 @@ _BESIDE = np.stack(
 _MARGIN_BESIDE = 60  # pixels
 _REFINED_BESIDE = 2
 _BESIDE_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 3.0, 3.0)
-_DIRECTIONS = 72  # tried where it is looked for on the whole table
+_DIRECTIONS = 72  # tried in a search of the whole table
 _REFINED = 6  # of these
 _APART = np.deg2rad(12.0)
-# Where so little is seen of the object that its middle is elsewhere, it is looked for along what is seen.
+# If little of the object is seen and its centre lies elsewhere, the search runs along the part that is seen.
 _WHOLE, _SHIFTS = 0.85, np.arange(-80, 81, 20) * 1e-3  # m
-# Mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.08; a
-# handle taken for itself 40 mm farther along, its head under the arm, has 0.08 to 0.1, one 10 mm off 0.06.
+# Largest mean misfit of an accepted pose: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.08. A
+# handle with its head under the arm has 0.08 to 0.1 when placed 40 mm off along itself, 0.06 when 10 mm off.
 _GOOD = 0.08
-# An object finer than the pixels does not fit its own picture; by so much more than this it may be off.
+# Details finer than pixels give a misfit in the object's own picture; the part beyond this is subtracted.
 _FINE = 0.01
-# No other pose is tried where nearly all of the inner points are seen, or most and misfit and standard
+# No other pose is tried if nearly all inner points are seen, or if most are and misfit and standard
 # deviations are small.
 _SEEN_CLEARLY, _MOSTLY_SEEN = 0.95, 0.6
 _FITS_CLEARLY, _KNOWN_CLEARLY = 0.053, 1.2e-3
-_AS_GOOD = 0.02  # difference of misfit that says nothing
+_AS_GOOD = 0.02  # insignificant difference of misfit
 _LEAST_FOUND = 0.35  # of the outline
 _LEAST_SEEN = 0.4  # of the inner points
-# Where the last pose is no guide, a part of the object may fit another part: half a handle fits either way.
+# Without the last pose as a guide, one part of the object may fit another: half a handle fits either way.
 _LEAST_FOUND_ANYWHERE = 0.75
 _LEAST_SEEN_ANYWHERE = 0.9
-# Unless all that is seen of an object on the table lies within it at that pose: a part that is taken for
-# another one farther along leaves its own end uncovered.
+# These suffice if the object at that pose covers everything that is seen on the table: a part mistaken for
+# another farther along leaves its own end uncovered.
 _LEAST_SEEN_COVERING, _LEAST_FOUND_COVERING, _MOST_UNCOVERED = 0.6, 0.6, 0.03
 _AROUND = np.ones((7, 7), np.uint8)  # pixels; edges are blurred
-_LEAST_AREA_ANYWHERE = 0.5  # of the footprint; of an object with fewer pixels, too little is seen for that
-_ROUND = 0.04  # of the mean misfit; turned ones of cans have 0.006 to 0.013, of a hexagon 0.058, of a box 0.5
+_LEAST_AREA_ANYWHERE = 0.5  # of the footprint; with fewer pixels, too little of the object is seen
+_ROUND = 0.04  # of the mean misfit; turned cans have 0.006 to 0.013, a turned hexagon 0.058, a turned box 0.5
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
-# What remains however many edges are averaged: the outline itself was measured.
+# Error that averaging more edges does not remove, since the outline itself was measured.
 _FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
 
 
@@ -86,11 +86,11 @@ def track(
 ) -> ObservedPose:
     """Pose of an object in a new picture.
 
-    The outline is fitted to the picture's edges from the previous pose. Unless it, and the heights within,
-    clearly agree with the picture there, it is fitted from places around, too, and the best is taken. If no
-    pose agrees, the object is looked for on the whole table, in all directions, and must be seen nearly
-    whole, or for the most part with nothing seen beside it; of poses that fit equally well, as those of a
-    symmetric object do, the one turned least from the previous is taken.
+    The outline is fitted to the picture's edges from the previous pose. Unless the outline and the heights
+    inside clearly agree with the picture, it is also fitted from places around it, and the best fit is taken.
+    If no pose agrees, the whole table is searched in all directions; then the object must be seen nearly
+    whole, or for the most part with nothing seen beside it. Of equally good poses, as of a symmetric object,
+    the one turned least from the previous pose is taken.
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
@@ -100,7 +100,7 @@ def track(
         time: of the picture, s; passed on.
 
     Raises:
-        ValueError: a picture of the wrong size, or a previous pose that is not finite.
+        ValueError: the picture has the wrong size, or the previous pose is not finite.
     """
     search = _Search(view.checked_depth(depth), view, seen, blocked)
     if not np.all(np.isfinite(previous)):
@@ -121,7 +121,7 @@ def track(
         return ObservedPose.unseen("occluded", time)
     if mask is None:
         least = 1e3 * least_height(heights)
-        detail = f"it left the table, or does not stand out: nothing is higher than {least:.0f} mm"
+        detail = f"it left the table, or is too flat to be seen: nothing is higher than {least:.0f} mm"
         return ObservedPose.unseen("left the table", time, detail)
     anywhere = None
     if search.area(mask) > _LEAST_AREA_ANYWHERE:
@@ -136,11 +136,11 @@ def track(
     tried = [found for found in (*tried, anywhere) if found is not None]
     misfit = min((found.misfit for found in tried), default=1.0)
     detail = (
-        f"what stands on the table does not fit the outline that was seen first (misfit {misfit:.2f},"
+        f"the object on the table does not fit the outline from the first look (misfit {misfit:.2f},"
         f" {_GOOD} is"
-        " allowed); it is another thing, or pictures are too noisy"
+        " allowed); it is a different object, or pictures are too noisy"
         if misfit >= _GOOD
-        else "where the object lies is not sure: too little of it is seen, or pixels are too coarse for it"
+        else "the object's pose is uncertain: too little of it is seen, or pixels are too coarse for it"
     )
     return ObservedPose.unseen("no object", time, detail)
 
@@ -149,8 +149,8 @@ class EdgeFit(NamedTuple):
     """Result of a fit."""
 
     pose: FloatArray  # (3,) x, y, theta of O in W
-    # (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges that were found do
-    # not determine the pose
+    # (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges found do not
+    # determine the pose
     covariance: FloatArray
     found: float  # share of the outline's points with an edge within reach
 
@@ -158,19 +158,19 @@ class EdgeFit(NamedTuple):
 def fit_edges(
     picture: HeightPicture, view: View, seen: SeenObject, start: FloatArray, reaches: Sequence[float]
 ) -> EdgeFit:
-    """Fit the outline to the edges in a picture, from a pose near by; an angle that is not seen stays.
+    """Fit the outline to the edges in a picture, from a nearby pose; an angle that cannot be seen is held.
 
     Args:
         picture: smoothed heights, NaN where the arm is.
         view, seen: the camera and the object.
         start: (3,) pose to start from.
-        reaches: how far edges are searched, pixels: one step of Gauss-Newton each.
+        reaches: search distance for edges in each Gauss-Newton step, pixels.
     """
     pose = np.array(start, dtype=float)
     fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0)
     free = slice(3 if seen.angle_seen else 2)
     lens, shape, pixel = view.lens, seen.shape, pixel_size(view)
-    # Makes the angle's part of the information comparable with that of the position.
+    # Makes the information on the angle comparable with that on the position.
     size = np.array([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(seen.outline.points**2, axis=1)))])
     scale = np.outer(size, size)[free, free]
     expected: FloatArray | None = None
@@ -206,7 +206,7 @@ def fit_edges(
 
 
 def load_kernels() -> None:
-    """Compile what a fit calls, or load it: before the first picture, which should not have to wait."""
+    """Compile or load the kernels of a fit, so that the first picture need not wait for them."""
     points, numbers, map_of_nothing = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 2), np.float32)
     lens = edge_kernels.Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     land = edge_kernels.Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
@@ -220,7 +220,7 @@ def load_kernels() -> None:
 
 
 def angle_shown(picture: HeightPicture, view: View, seen: SeenObject) -> bool:
-    """Whether the object, turned about its middle, no longer fits the picture in which it was first seen."""
+    """Whether the object, turned about its origin, no longer fits the picture of the first look."""
     turned = seen.first_pose + np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)[:, None] * [0, 0, 1]
     off, _ = edge_kernels.mean_misfits(picture, view.lens, seen.shape, turned, pixel_size(view), 1).T
     return bool(np.max(off) > _ROUND)
@@ -228,9 +228,9 @@ def angle_shown(picture: HeightPicture, view: View, seen: SeenObject) -> bool:
 
 class _Candidate(NamedTuple):
     fit: EdgeFit
-    misfit: float  # beyond that of the object's own picture
+    misfit: float  # in excess of that in the object's own picture
     seen: float  # share of the inner points that are not hidden
-    known: slice  # of the pose: x and y, and the angle where it can be seen
+    known: slice  # of the pose: x and y, and the angle if it can be seen
 
     @property
     def good(self) -> bool:
@@ -257,7 +257,7 @@ class _Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The search for an object in a depth picture (H, W), m; the arm may hide part of it."""
+    """Search for an object in a depth picture (H, W), m, of which the arm may hide a part."""
 
     image: DepthImage
     view: View
@@ -265,7 +265,7 @@ class _Search(NamedTuple):
     blocked: Mask | None
 
     def near(self, previous: FloatArray) -> _Candidate | None:
-        """The pose near the previous one."""
+        """The best pose near the previous one, or None if it lies outside the picture."""
         picture = self._around(previous, _MARGIN)
         return None if picture is None else self._fitted(picture, previous, _NEAR_REACHES)
 
@@ -309,14 +309,14 @@ class _Search(NamedTuple):
         least = min(candidate.misfit for candidate in candidates)
         alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
         best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
-        return self._fitted(picture, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
+        return self._fitted(picture, best.fit.pose, _NEAR_REACHES)  # the fit from afar may not have settled
 
     def area(self, mask: Mask) -> float:
-        """Of the pixels that show an object, over that of the footprint."""
+        """Area of the pixels that show an object, relative to that of the footprint."""
         return float(mask.sum() * pixel_size(self.view) ** 2 / self.seen.grid.polygon.area)
 
     def covers(self, candidate: _Candidate, mask: Mask) -> bool:
-        """Whether the object, most of which is seen, covers at a pose all the pixels that show an object."""
+        """Whether most of the object is seen and it covers, at a pose, all pixels that show an object."""
         found = candidate.fit.found > _LEAST_FOUND_COVERING
         if not (candidate.good and candidate.seen > _LEAST_SEEN_COVERING and found):
             return False
@@ -328,7 +328,7 @@ class _Search(NamedTuple):
         return bool(uncovered.sum() < _MOST_UNCOVERED * mask.sum())
 
     def hidden_share(self, heights: Heights, pose: FloatArray) -> float:
-        """Share of the inner points that the picture does not show when the object lies at a pose."""
+        """Share of the inner points of an object at a pose that the picture does not show."""
         inner = self._pixels(self.seen.inner_points, self.seen.inner_heights, pose)
         return float(np.mean(np.isnan(HeightPicture(heights).at(inner))))
 
@@ -337,7 +337,7 @@ class _Search(NamedTuple):
         return self.view.project(self.seen.table.lift(placed(points, pose), heights))[0]
 
     def _around(self, pose: FloatArray, margin: int) -> HeightPicture | None:
-        """The part of the picture around the object at a pose, and as many pixels on each side."""
+        """The part of the picture around the object at a pose, with a margin in pixels; None if outside."""
         outline = self.seen.outline
         pixels = np.concatenate(
             [self._pixels(outline.points, height, pose) for height in (0.0, float(outline.heights.max()))]

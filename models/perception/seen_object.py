@@ -1,14 +1,14 @@
-"""What the first look finds: an object's footprint, heights and cells, in its own frame.
+"""Results of the first look: an object's footprint, heights and cells, in its own frame.
 
-The border of the object's pixels is a staircase. The heights know more: along a line across an edge they
-fall from the object's to the table's, and cross half of it where the edge is. Points found so are replaced
-by the straight lines that fit them best. Two things that a picture does to an edge are undone:
+The border of the object's pixels is a staircase. The heights locate it better: along a line across an edge
+they fall from the object's height to the table's, and pass half of it at the edge. Best-fitting straight
+lines replace the points found this way. Two distortions of edges in a picture are corrected:
 
-- Blur cuts corners: a square one is passed at 0.8 standard deviations of it. A short edge between two long
-  ones that meet just outside of it becomes their corner.
-- An edge with a rounded top seems to lie too far inside, since there half the height is reached. A fall
-  that is wider than blur and the sight of a flank make it tells of this: the fall of a quarter of a circle
-  of radius r has a mean of 0.215 r inside its foot, and a standard deviation of 0.223 r.
+- Blur cuts corners: it passes a square corner at a distance of 0.8 of its standard deviation. A short edge
+  between two long ones that meet just outside it becomes their corner.
+- An edge with a rounded top seems to lie too far inside, where half the height is reached. Such an edge shows
+  in a fall that is wider than blur and the visible flank make it: the fall over a quarter circle of radius r
+  has its mean 0.215 r inside the foot, and a standard deviation of 0.223 r.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from slipmap.models.perception.object_mask import Fault, HeightPicture, Heights,
 from slipmap.models.perception.pinhole_camera import TablePlane, View, pixel_size
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-_INSETS = np.array([1.0, 2.0, 3.0])  # pixels inside an edge; the highest of the heights there is the edge's
+_INSETS = np.array([1.0, 2.0, 3.0])  # pixels inside an edge; the largest height there is the edge's height
 _SPECK = 0.01  # of the object's area; smaller holes are noise
 _ACROSS = np.arange(-5.0, 4.01, 0.25)  # pixels along a line across the edge, outwards
-_FARTHEST = 1.5  # pixels by which a point is moved
+_FARTHEST = 1.5  # pixels; largest shift of a point
 _ROUNDS = 2
 _TURNING = 1.5  # points over which the border's direction is averaged
-_STRIP = 0.5  # pixels; the half width of the strip in which an edge is straight
-_SHARPEST = 10.0  # percentile of the falls along a ring that is taken for the picture's blur,
-_BLUR = 1.1**2, 1.2**2  # but no less and no more than this variance, pixels²
-_DOUBT = 1.5e-3  # m pixels²; over the edge's height: by how much noise may widen the fall
+_STRIP = 0.5  # pixels; the half width of the strip in which an edge counts as straight
+_SHARPEST = 10.0  # percentile of the falls along a ring that estimates the picture's blur,
+_BLUR = 1.1**2, 1.2**2  # within these variances, pixels²
+_DOUBT = 1.5e-3  # m pixels²; divided by the edge's height: variance that noise may add to the fall
 _QUARTILES = 1.349  # distance between the quartiles of a normal distribution, in standard deviations
-_INSIDE = 0.9  # standard deviations by which the middle of a rounded fall lies inside its foot
+_INSIDE = 0.9  # standard deviations from the middle of a rounded fall out to its foot
 _MOST_ROUND = 1.0  # pixels²
-_ALONG = 11  # points over which the width of the fall is a median
-_CUT = 4.0  # pixels; a longer edge is no cut corner
-_CORNER = 1.0  # pixels from where blur passes a corner to the corner
-_SQUARE = np.sin(np.deg2rad(30.0))  # flatter corners are not cut visibly
+_ALONG = 11  # points of the median filter on the width of the fall
+_CUT = 4.0  # pixels; a longer edge is not a cut corner
+_CORNER = 1.0  # pixels from the blurred outline to the corner that it cuts
+_SQUARE = np.sin(np.deg2rad(30.0))  # blur does not visibly cut flatter corners
 _RIM = 0.75  # pixels inside the outline, where the edge's own height is read
 _RIPPLE = 4.0  # points of the outline over which its direction is averaged
 _SPACING = 1.5  # pixels between points of the outline
-_STRAIGHT = 0.15  # pixels; corners that leave the outline by less are dropped
+_STRAIGHT = 0.15  # pixels; corners that deviate less from the outline are dropped
 _NEIGHBOURS = 4  # readings whose median is a height
-_FOR_PLANE = 12  # readings through which a plane is laid at the rim
-_WALL, _STEEP = 2.0, 6.0  # a reading that is lower than one beside it by more (pixels, slope) is no top
+_FOR_PLANE = 12  # readings to which a plane is fitted at the rim
+_WALL, _STEEP = 2.0, 6.0  # a reading lower than a neighbour by more (pixels, slope) is not on the top
 
 UNSEEN_ANGLE = 1.0
 """Standard deviation of the angle of an object whose angle cannot be seen, rad."""
@@ -69,20 +69,19 @@ Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 class ObservedPose:
     """Pose of the object frame O in W as seen in one picture, or why it could not be seen."""
 
-    # (3,) x, y (m) and theta (rad) of O in W; NaN if not valid. Theta is continuous: it goes on from the last
-    # pose beyond ±pi.
+    # (3,) x, y (m) and theta (rad) of O in W; NaN if not valid. Theta is continuous across poses, beyond ±pi.
     pose: FloatArray
     covariance: FloatArray  # (3, 3) of the pose, m², m rad, rad²; NaN if not valid
     valid: bool  # whether the object was seen
-    # empty, or why not: "no object" (none was seen yet, or what is seen is not it), "occluded" (the arm hides
-    # too much of it), "left the table", or what is wrong with the picture
+    # empty, or why not: "no object" (none was seen yet, or a different one is seen), "occluded" (the arm
+    # hides too much of it), "left the table", or the fault of the picture
     reason: Reason = ""
     time: float = 0.0  # at which the picture was taken, s
-    detail: str = ""  # more about the reason, for people; empty where it says all
+    detail: str = ""  # more about the reason, for the reader; may be empty
 
     @property
     def why(self) -> str:
-        """Why it could not be seen, in words."""
+        """Why the object could not be seen, in words."""
         return self.detail or self.reason or "no picture"
 
     @staticmethod
@@ -90,8 +89,8 @@ class ObservedPose:
         """A pose from anywhere, such as a tracker of your own.
 
         Args:
-            pose: (3,) x, y (m) and theta (rad) of O in W. Let theta go on beyond ±pi instead of jumping.
-            time: at which the object was there, s.
+            pose: (3,) x, y (m) and theta (rad) of O in W. Theta must continue beyond ±pi instead of jumping.
+            time: at which the object had this pose, s.
             covariance: (3, 3), m², m rad, rad²; zero if None.
         """
         spread = np.zeros((3, 3)) if covariance is None else covariance
@@ -99,13 +98,12 @@ class ObservedPose:
 
     @staticmethod
     def unseen(reason: Reason, time: float = 0.0, detail: str = "") -> ObservedPose:
-        """No pose, for a reason."""
+        """A missing pose, with the reason."""
         return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time, detail)
 
 
 def angle_held(trial: Trial) -> bool:
-    """Whether a recorded push is one of an object whose angle could not be seen: it is the same in all rows,
-    to the last digit."""
+    """Whether the angle is exactly constant over a recorded push, because it could not be seen."""
     return bool(np.ptp(trial.object_pose.values[:, 2]) == 0.0)
 
 
@@ -115,7 +113,7 @@ class Outline:
 
     points: FloatArray  # (m, 2) m
     normals: FloatArray  # (m, 2) unit vectors out of the object
-    heights: FloatArray  # (m,) of the object's edge over the table there, m
+    heights: FloatArray  # (m,) height of the object's edge over the table there, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,7 @@ class Relief:
 
     @staticmethod
     def from_cloud(polygon: Polygon, points: FloatArray, tops: FloatArray, pixel: float) -> Relief:
-        """Heights inside a footprint in O, from readings (k,) at points (k, 2) about a pixel apart, m."""
+        """Heights inside a footprint in O, from readings (k,) at points (k, 2) about one pixel apart, m."""
         on_top = ~_on_flank(points, tops, pixel)
         points, tops = points[on_top], tops[on_top]
         tree = cKDTree(points)
@@ -140,7 +138,7 @@ class Relief:
         heights = np.zeros(inside.shape, np.float32)
         _, index = tree.query(grid[inside], k=min(_NEIGHBOURS, len(points)))
         heights[inside] = np.median(tops[np.asarray(index).reshape(inside.sum(), -1)], axis=1)
-        # No reading lies on the rim itself; a rounded top goes on falling up to there.
+        # No reading lies on the rim itself, and a rounded top keeps falling up to it.
         to_rim = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) * SPACING
         rim = inside & (to_rim < pixel)
         if len(points) >= _FOR_PLANE and np.any(rim):
@@ -149,7 +147,7 @@ class Relief:
         return Relief(np.array([x[0], y[0]]), np.maximum(heights, 0.0))
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Heights (...) of the grid points nearest to points (..., 2) in O, m; 0 beside the object."""
+        """Heights (...) of the grid points nearest to points (..., 2) in O, m; 0 outside the grid."""
         nearest = np.rint((points - self.corner) / SPACING).astype(int)
         size = np.array(self.heights.shape[::-1])
         columns, rows = np.moveaxis(np.clip(nearest, 0, size - 1), -1, 0)
@@ -159,7 +157,7 @@ class Relief:
     def smooth(self, points: FloatArray, window: float) -> tuple[FloatArray, FloatArray]:
         """Heights (k,) at points (k, 2) in O, m, and slopes (k, 2), averaged with a Gaussian.
 
-        The points lie farther inside the footprint than its standard deviation, the window, m.
+        `window` is its standard deviation, m; the points must lie farther than that inside the footprint.
         """
         smooth = cv2.GaussianBlur(self.heights, (0, 0), window / SPACING)
         slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / (8 * SPACING)) for axis in ((1, 0), (0, 1))]
@@ -167,7 +165,7 @@ class Relief:
         return read[0], np.stack(read[1:], axis=-1)
 
     def land(self, table: TablePlane) -> Land:
-        """The map, on a table, for kernels."""
+        """The relief on a table, for kernels."""
         plane = np.array([table.slope_x, table.slope_y, table.height])
         heights = np.array(self.heights, np.float32, order="C")
         return Land(plane, np.array(self.corner, dtype=float), heights, float(heights.max()))
@@ -177,8 +175,8 @@ class Relief:
 class SeenObject:
     """An object as the camera saw it at rest, in its own frame.
 
-    The object frame O has its origin at the centroid of the footprint's area, on the table; at the first look
-    its axes are parallel to those of W, to the fraction of a degree with which a pose can be measured.
+    The object frame O has its origin on the table at the centroid of the footprint. At the first look its
+    axes are parallel to those of W, to the fraction of a degree to which a pose can be measured.
     """
 
     grid: CellGrid  # cells and outline in O
@@ -187,15 +185,15 @@ class SeenObject:
     # difference is the object's motion; theta is nearly 0
     first_pose: FloatArray
     outline: Outline  # points along the rings in O, with the height of the edge
-    # (m,) of the object just inside the outline's points, m: smaller where it is rounded
+    # (m,) height of the object just inside the outline's points, m: smaller where it is rounded
     rim_heights: FloatArray
-    inner_points: FloatArray  # (k, 2) points inside in O, m, on a square grid
-    inner_heights: FloatArray  # (k,) of the object's top there, m
-    inner_slopes: FloatArray  # (k, 2) of the top there, along O's axes
+    inner_points: FloatArray  # (k, 2) points inside the footprint in O, m, on a square grid
+    inner_heights: FloatArray  # (k,) height of the object's top there, m
+    inner_slopes: FloatArray  # (k, 2) slopes of the top there, along O's axes
     relief: Relief  # heights over the whole footprint
     table: TablePlane  # plane of the table in W
-    angle_seen: bool = True  # whether pictures tell the angle; that of a round object is held
-    # mean misfit of its own picture, see `mean_misfits`: of what is finer than pixels
+    angle_seen: bool = True  # whether pictures show the angle; that of a round object is held
+    # mean misfit in its own picture, see `mean_misfits`, caused by details finer than pixels
     misfit: float = 0.0
 
     @cached_property
@@ -211,24 +209,24 @@ class SeenObject:
 class Ring(NamedTuple):
     """One ring of an object in the picture: corners (k, 2), column and row."""
 
-    edge: LinearRing  # where the picture has half the object's height, as trackers see it
-    foot: LinearRing  # where the object ends, farther out where its edge is rounded
+    edge: LinearRing  # where the picture has half the object's height, as a tracker sees it
+    foot: LinearRing  # where the object ends, farther out if its edge is rounded
 
 
 class Footprint(NamedTuple):
-    """What an object covers of the table, in W, m."""
+    """Area of the table that an object covers, in W, m."""
 
     polygon: Polygon  # where the object ends
-    edge: Polygon  # where the picture shows its edge, which is farther inside where that is rounded
+    edge: Polygon  # where the picture shows its edge, farther inside if that is rounded
     outline: Outline  # points along the rings of `edge`
 
 
 def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
     """Outline in W, and the height of its edges, of the object whose pixels are a mask (H, W), in one piece.
 
-    The outline in the picture is that of `contour`. Each of its points is carried to the world at the height
-    at which the object is seen there, not at the table's: a top 100 mm high seen 0.4 m off the axis would
-    otherwise seem moved by 40 mm. For that, heights (H, W) are smoothed or, with sharp edges, raw, m.
+    `contour` gives the outline in the picture. Each of its points is mapped to the world at the height at
+    which the object is seen there, not at the table's: a top 100 mm high, seen 0.4 m off the axis, would
+    otherwise appear shifted by 40 mm. `heights` (H, W) are smoothed, `raw` ones keep sharp edges, m.
     """
     pictures = HeightPicture(heights), HeightPicture(raw)
     rings = contour(mask, pictures[0], plane, view)
@@ -241,7 +239,7 @@ def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, vie
 
 
 def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Points (m, 2) about `spacing` apart along all rings of a polygon, and normals (m, 2) out of it."""
+    """Points (m, 2) about `spacing` apart along all rings of a polygon, and outward normals (m, 2)."""
     parts = [_points_along(polygon.exterior, outer=True, spacing=spacing)]
     parts += [_points_along(ring, outer=False, spacing=spacing) for ring in polygon.interiors]
     points, normals = zip(*parts, strict=True)
@@ -249,9 +247,9 @@ def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray
 
 
 def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -> list[Ring]:
-    """Rings of the object, the exterior first; openings below 1 % of the object's area are left out.
+    """Rings of the object, the exterior first, without openings below 1 % of the object's area.
 
-    The mask (H, W) has the object's pixels, in one piece; the heights are smoothed, the plane is the table.
+    The mask (H, W) has the object's pixels, in one piece; the heights are smoothed; the plane is the table's.
     """
     rings = []
     for k, points in enumerate(border_middles(mask)[0]):
@@ -266,7 +264,7 @@ def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -
         rings.append(Ring(_cornered(points), _cornered(points + inside[:, None] * normals)))
     if all(Polygon(side[0], side[1:]).is_valid for side in zip(*rings, strict=True)):
         return rings
-    # Too small for lines, a few pixels wide.
+    # Too small for fitted lines: a few pixels wide.
     traced = without_small_holes(traced_outline(mask), _SPECK * mask.sum())
     return [Ring(ring, ring) for ring in (traced.exterior, *traced.interiors)]
 
@@ -292,7 +290,7 @@ def _in_world(
     view: View,
 ) -> Outline:
     pixels, normals = _points_along(ring, outer=outer, begin=0.0)
-    # Which side an edge faces must not change with every ripple of the traced outline.
+    # The side that an edge faces must not change with every ripple of the traced outline.
     normals = _smooth_directions(normals, _RIPPLE)
     edge = _edge_heights(pixels, normals, smoothed)
     rim = sharp.at(pixels - _RIM * normals)
@@ -301,7 +299,7 @@ def _in_world(
     beyond = plane.meet(pixels + normals, 0.0, view) - foot
     outward = beyond / np.linalg.norm(beyond, axis=1, keepdims=True)
     # On the far side the top hides the foot, and the edge lies on the ray past the rim. On the near side the
-    # flank is seen, and the outline is where it is half as high as the object.
+    # flank is seen, and the outline is at half its height.
     far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
     seen_at = np.where(far, np.maximum(rim, edge / 2), edge / 2)
     return Outline(plane.meet(pixels, seen_at, view), outward, edge)
@@ -310,7 +308,7 @@ def _in_world(
 def _points_along(
     ring: LinearRing, *, outer: bool, spacing: float = _SPACING, begin: float = 0.5
 ) -> tuple[FloatArray, FloatArray]:
-    """Points and their outward normals, on each side the first one `begin` spacings from its corner."""
+    """Points along a ring and outward normals; on each side the first is `begin` spacings from a corner."""
     corners = np.asarray(ring.coords)[:-1, :2]
     if ring.is_ccw != outer:
         corners = corners[::-1]  # the object lies to the left
@@ -327,12 +325,12 @@ def _points_along(
 
 
 def _edge_heights(points: FloatArray, normals: FloatArray, heights: HeightPicture) -> FloatArray:
-    """(m,) height of the object beside points (m, 2) of its border with outward normals, m."""
+    """(m,) height of the object next to points (m, 2) of its border with outward normals, m."""
     return _along_ring(heights.at(points[:, None, :] - _INSETS[:, None] * normals[:, None, :]))
 
 
 def _along_ring(heights: FloatArray) -> FloatArray:
-    """(m,) highest of heights (m, k) at each point of a ring, smoothed along it; missing ones count as 0."""
+    """(m,) largest of heights (m, k) at each point of a ring, smoothed along it; missing ones count as 0."""
     highest = np.nanmax(np.column_stack([heights, np.zeros(len(heights))]), axis=1)
     return median_filter(highest, size=min(9, len(highest)), mode="wrap")
 
@@ -346,7 +344,7 @@ def _normals(points: FloatArray, *, outer: bool) -> FloatArray:
 
 
 def _smooth_directions(vectors: FloatArray, over: float) -> FloatArray:
-    """(m, 2) unit vectors, averaged along a ring over so many points."""
+    """(m, 2) unit vectors, averaged along a ring over about `over` points."""
     smooth = gaussian_filter1d(vectors, min(over, len(vectors) / 8), axis=0, mode="wrap")
     return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
 
@@ -354,8 +352,10 @@ def _smooth_directions(vectors: FloatArray, over: float) -> FloatArray:
 def _crossings(
     points: FloatArray, normals: FloatArray, heights: HeightPicture, levels: tuple[float, ...]
 ) -> FloatArray:
-    """(levels, m) pixels outwards from each point to where the height falls below a share of the edge's,
-    nearest to the point; NaN where it does not."""
+    """(levels, m) pixels outwards from each point to where the height falls below shares of the edge's.
+
+    The crossing nearest to the point counts; NaN if there is none.
+    """
     edge = np.maximum(_edge_heights(points, normals, heights), 1e-4)
     fall = heights.at(points[:, None, :] + _ACROSS[:, None] * normals[:, None, :]) / edge[:, None]
     found = np.empty((len(levels), len(points)))
@@ -372,7 +372,7 @@ def _crossings(
 def _roundness(
     points: FloatArray, normals: FloatArray, heights: HeightPicture, plane: TablePlane, view: View
 ) -> FloatArray:
-    """(m,) variance of the fall beyond what blur and an upright flank make, pixels²; 0 where unknown."""
+    """(m,) variance of the fall in excess of blur and an upright flank, pixels²; 0 where unknown."""
     outside, inside = _crossings(points, normals, heights, (0.25, 0.75))
     foot = plane.meet(points, 0.0, view)
     beyond = plane.meet(points + normals, 0.0, view) - foot
@@ -388,7 +388,7 @@ def _roundness(
 
 
 def _cornered(points: FloatArray) -> LinearRing:
-    """The ring of straight lines that fit points (m, 2), with corners where blur has cut them."""
+    """The ring of straight lines fitted to points (m, 2), with the corners restored that blur has cut."""
     polygon = Polygon(points)
     if not polygon.is_valid:
         return polygon.exterior
@@ -405,9 +405,9 @@ def _cornered(points: FloatArray) -> LinearRing:
 
 
 def _with_a_corner_more(corners: FloatArray, passed: cKDTree) -> list[FloatArray] | None:
-    """Corners (k, 2) with the shortest cut replaced by one corner, or None where there is no cut.
+    """Corners (k, 2) with the shortest cut replaced by one corner, or None if there is no cut.
 
-    `passed` are the points to which the lines were fitted.
+    `passed` holds the points to which the lines were fitted.
     """
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
@@ -432,7 +432,7 @@ def _with_a_corner_more(corners: FloatArray, passed: cKDTree) -> list[FloatArray
 
 
 def _on_flank(points: FloatArray, tops: FloatArray, pixel: float) -> NDArray[np.bool_]:
-    """(k,) readings from an upright side: much higher ones lie right beside them."""
+    """(k,) whether readings lie on an upright side: much higher ones are right next to them."""
     distance, index = (np.asarray(a) for a in cKDTree(points).query(points, k=min(6, len(points))))
     rise = tops[index.reshape(len(points), -1)] - tops[:, None]
     beside = distance.reshape(len(points), -1) < 1.5 * pixel
@@ -441,8 +441,7 @@ def _on_flank(points: FloatArray, tops: FloatArray, pixel: float) -> NDArray[np.
 
 
 def _on_planes(at: FloatArray, points: FloatArray, tops: FloatArray) -> FloatArray:
-    """(m,) heights at (m, 2) on the planes through (m, k, 2) points with heights (m, k), between the lowest
-    and the highest of these."""
+    """(m,) heights at (m, 2) on planes fitted to points (m, k, 2) of heights (m, k), within their range."""
     middle = points.mean(axis=1)
     arm = points - middle[:, None]
     mean = tops.mean(axis=1)

@@ -1,7 +1,7 @@
-"""Balance at the table's edge in closed form: how far the centre of mass lies inside what holds the object.
+"""Balance at the table's edge in closed form: how far the centre of mass lies inside the support polygon.
 
-A rigid body on a level table stays where it is as long as its centre of mass lies over the support polygon,
-the convex hull of the footprint's part on the table (Song and Boularias, 2020, section on goal poses).
+A rigid body on a level table stays in place as long as its centre of mass lies over the support polygon, the
+convex hull of the footprint's part on the table (Song and Boularias, 2020, section on goal poses).
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.compiled import compiled
 
-_SAGITTA = 1e-5  # m; by how much the rim of a round table is cut short between its points
+_SAGITTA = 1e-5  # m; the polygon for the rim of a round table cuts it short by this much
 
 
 def balance_margins(grid: CellGrid, centers_of_mass: ArrayLike, poses: ArrayLike, table: Table) -> FloatArray:
     """Balance margins of several hypotheses at several poses.
 
     The margin is the distance from the centre of mass to the boundary of the support polygon, the convex hull
-    of the outline's part on the table: positive where the object stays, negative where it falls, -inf where
-    no part of it is over the table. The whole underside is taken to touch the table. It is exact but for the
-    rim of a round table, which counts up to 0.01 mm short.
+    of the outline's part on the table: positive if the object stays, negative if it falls, -inf if no part of
+    it is over the table. The whole underside is assumed to touch the table. The margin is exact except on a
+    round table, whose rim is cut short by up to 0.01 mm.
 
     Args:
-        grid: its outline counts, not its cells; may be concave and have holes.
+        grid: only its outline counts, which may be concave and have holes.
         centers_of_mass: (K, 2) of the hypotheses, object frame, m.
         poses: (G, 3) of the object in the world, m and rad.
         table: round or rectangular.
@@ -36,7 +36,7 @@ def balance_margins(grid: CellGrid, centers_of_mass: ArrayLike, poses: ArrayLike
         (G, K) margins, m.
 
     Raises:
-        ValueError: shapes that do not fit, numbers that are not finite, or a table without its measure.
+        ValueError: shapes do not match, numbers are not finite, or the table lacks its dimension.
     """
     centers = _points(centers_of_mass, "centres of mass", 2)
     return _margins(grid, centers[None], _points(poses, "poses", 3), table)
@@ -45,11 +45,11 @@ def balance_margins(grid: CellGrid, centers_of_mass: ArrayLike, poses: ArrayLike
 def own_balance_margins(
     grid: CellGrid, centers_of_mass: ArrayLike, poses: ArrayLike, table: Table
 ) -> FloatArray:
-    """As `balance_margins`, for poses each with a centre of mass of its own.
+    """Balance margins as in `balance_margins`, for one centre of mass per pose.
 
     Args:
-        grid: its outline counts.
-        centers_of_mass: (..., 2), one for each pose or broadcast to that, object frame, m.
+        grid: only its outline counts.
+        centers_of_mass: (..., 2), one per pose or broadcast to that, object frame, m.
         poses: (..., 3) of the object in the world, m and rad.
         table: round or rectangular.
 
@@ -57,7 +57,7 @@ def own_balance_margins(
         (...) margins, m.
 
     Raises:
-        ValueError: as `balance_margins`.
+        ValueError: as in `balance_margins`.
     """
     all_poses = np.asarray(poses, dtype=float)
     shape = all_poses.shape[:-1]
@@ -68,25 +68,25 @@ def own_balance_margins(
 
 
 def fall_probability(margins: FloatArray, probability: FloatArray, margin: float = 0.0) -> FloatArray:
-    """Probability that an object falls: the hypotheses whose balance margin is below a safety margin.
+    """Probability that an object falls, summed over hypotheses with a balance margin below a safety margin.
 
     Args:
-        margins: (..., K) of `balance_margins`, m.
+        margins: (..., K) from `balance_margins`, m.
         probability: (K,) of the hypotheses.
-        margin: safety margin, m; 0 for the bare balance.
+        margin: safety margin, m; 0 for bare balance.
 
     Returns:
         (...) probabilities.
     """
     falls = (np.asarray(margins) < margin) @ np.asarray(probability, dtype=float)
-    return np.asarray(np.minimum(falls, 1.0))  # a sum of probabilities may exceed 1 by a rounding
+    return np.asarray(np.minimum(falls, 1.0))  # a sum of probabilities may exceed 1 by a rounding error
 
 
 def corners_of(table: Table) -> FloatArray:
     """(4, 2) corners of a rectangular table, counter-clockwise, world, m; (0, 2) for a round one.
 
     Raises:
-        ValueError: a table without the measure that its shape needs.
+        ValueError: the table lacks the dimension that its shape needs.
     """
     if table.shape == "round":
         if table.radius is None or not table.radius > 0:
@@ -143,7 +143,7 @@ def _margins_kernel(edges, centers, poses, middle, radius, corners):  # type: ig
 
 @compiled()
 def _on_disc(edges, mx, my, radius, arc, points, angles):  # type: ignore[no-untyped-def]
-    """Write points whose hull is that of outline and disc together; returns how many."""
+    """Write points whose hull is that of the intersection of outline and disc; returns their number."""
     count = crossings = 0
     for i in range(len(edges)):
         ax, ay = edges[i, 0] - mx, edges[i, 1] - my
@@ -162,7 +162,7 @@ def _on_disc(edges, mx, my, radius, arc, points, angles):  # type: ignore[no-unt
                 angles[crossings] = math.atan2(ay + t * dy, ax + t * dx)
                 crossings += 1
     if crossings == 0:
-        # Whole circle inside the outline, or none of it.
+        # The whole circle lies inside the outline, or none of it.
         angles[0] = 0.0
         crossings = 1
     found = np.sort(angles[:crossings])
@@ -182,14 +182,14 @@ def _on_disc(edges, mx, my, radius, arc, points, angles):  # type: ignore[no-unt
 
 @compiled()
 def _on_polygon(edges, corners, points):  # type: ignore[no-untyped-def]
-    """As `_on_disc`, for a convex polygon of counter-clockwise corners."""
+    """Like `_on_disc`, for a convex polygon with counter-clockwise corners."""
     count = 0
     for corner in corners:
         if _in_outline(edges, corner[0], corner[1]):
             points[count, 0], points[count, 1] = corner[0], corner[1]
             count += 1
     for i in range(len(edges)):
-        # The part of the edge on the inner side of all sides of the polygon.
+        # Part of the edge on the inner side of all sides of the polygon.
         begin, end = 0.0, 1.0
         dx, dy = edges[i, 2] - edges[i, 0], edges[i, 3] - edges[i, 1]
         for j in range(len(corners)):
@@ -228,7 +228,7 @@ def _convex_hull(points):  # type: ignore[no-untyped-def]
     if n == 0:
         return hull[:0]
     order = np.argsort(points[:, 0])
-    # Equal x by y: such runs are short.
+    # Points of equal x are sorted by y with insertion sort: such runs are short.
     for i in range(1, n):
         j = i
         while (
@@ -253,7 +253,7 @@ def _convex_hull(points):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _left(a, b, px, py):  # type: ignore[no-untyped-def]
-    """Positive where p lies to the left of the way from a to b."""
+    """Positive if p lies to the left of the line from a to b."""
     return (b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0])
 
 

@@ -1,23 +1,23 @@
 """The Jacobian of a rollout, carried from step to step.
 
-It is kept in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
+It is stored in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
 
-    0 … 5   d(state)/d(parameter), the state being x, y, θ (world) and v_x, v_y, omega (object frame)
-    6 … 8   direct derivative of the step's gradient by the parameter, `Slopes`; where the cells' friction is
-            that of the plain model and there is no memory, a load has its cell's centre r_x, r_y there
+    0 … 5   d(state)/d(parameter), with the state x, y, θ (world) and v_x, v_y, omega (object frame)
+    6 … 8   direct derivative of the step's gradient with respect to the parameter, `Slopes`; in the plain
+            friction model without memory, a load has its cell's centre r_x, r_y there instead
     9 …     d(memory)/d(parameter), of the E entries of memory: the last force, and the effects' own
 
-As a block is one piece of memory, the compiler sees that its lanes are independent and computes them at once.
-Parameters are in this order, the loads filled up to whole blocks:
+Since a block is one piece of memory, the compiler sees that its lanes are independent and vectorises over
+them. Parameters are in this order, the loads padded to whole blocks:
 
     f_1 … f_n, m, s_x, s_y, J, mu_finger, and the start x, y, θ (world) and v_x, v_y, omega (object frame);
-    the effects' parameters;  in a single step the memory before it, and what drives it;
-    on a table m_1 … m_n, as far as loads shift with them, f, m, s and J being held.
+    the effects' parameters;  in a single step the memory before it, and its drive;
+    on a table m_1 … m_n, through shifting loads only, at fixed f, m, s and J.
 
-Those blocks of masses are zero, and nobody's work, until a push comes near the table's rim.
+The blocks of masses are zero, and skipped, until a push comes near the table's rim.
 
-In the functions here S and `before` are the blocks after a step, as far as they are carried over it, and
-before it; F are blocks of two rows, the Jacobian of the finger's force (world, N) in the step.
+In the functions here S holds the blocks after a step, as far as they are carried over it, and `before` those
+before it; F holds blocks of two rows, the Jacobian of the finger's force (world, N) in the step.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS, way_by_s
 
 _DIRECT = STATE
 FIXED_ROWS = _DIRECT + 3
-"""Rows of a block besides those of memory, which follow them."""
+"""Number of rows of a block before those of memory."""
 
 _BLOCK = FIXED_ROWS * LANES
 
 
 class Layout(NamedTuple):
-    """How many parameters a Jacobian has, and of which kinds."""
+    """Numbers of parameters of a Jacobian, by kind."""
 
     n: int  # number of loads
-    others: int  # number of parameters after them; no Jacobian is wanted where it is 0
+    others: int  # number of parameters after them; 0 if no Jacobian is wanted
     memory: int  # E
     effects: int  # number of the effects' parameters
     masses: int  # number of masses, 0 or n
@@ -51,7 +51,7 @@ class Layout(NamedTuple):
 
 @compiled(forceinline=True)
 def pose_update(way, h):  # type: ignore[no-untyped-def]
-    """Derivatives of x, then of y after a step, by θ before it and by v⁺, world; those of θ are 1 and h."""
+    """Derivatives of x, then y after a step, in θ before it and v⁺, world; those of θ are 1 and h."""
     x_omega, y_omega = way_by_spin(way, h)
     return (
         -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
@@ -61,19 +61,19 @@ def pose_update(way, h):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def padded(count):  # type: ignore[no-untyped-def]
-    """The count filled up to whole blocks."""
+    """The count rounded up to whole blocks."""
     return (count + LANES - 1) // LANES * LANES
 
 
 @compiled(forceinline=True)
 def _place(layout, k, row, rows):  # type: ignore[no-untyped-def]
-    """Where an entry of the k-th parameter after the loads is in blocks of so many rows."""
+    """Offset of an entry of the k-th parameter after the loads, in blocks of `rows` rows."""
     return ((padded(layout.n) + k) // LANES * rows + row) * LANES + k % LANES
 
 
 @compiled()
 def empty_blocks(layout, rows):  # type: ignore[no-untyped-def]
-    """Room for the parameters of a `Layout`."""
+    """Blocks of zeros for the parameters of a `Layout`."""
     size = padded(layout.n) + padded(layout.others) + padded(layout.masses) if layout.others > 0 else 0
     return np.zeros(size * rows)
 
@@ -89,7 +89,7 @@ def set_places(S, layout, rx, ry):  # type: ignore[no-untyped-def]
 
 @compiled()
 def first_blocks(layout, rx, ry):  # type: ignore[no-untyped-def]
-    """Blocks before the first step: the state is the start's, memory its own parameter where it is one."""
+    """Blocks before the first step: the state depends on the start, memory on itself in a single step."""
     rows = FIXED_ROWS + layout.memory
     S = empty_blocks(layout, rows)
     if layout.others == 0:
@@ -106,7 +106,7 @@ def first_blocks(layout, rx, ry):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def flat(A):  # type: ignore[no-untyped-def]
-    """The first six columns of three rows as numbers, row by row."""
+    """The first six columns of three rows as a tuple, row by row."""
     return (
         A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4], A[0, 5],
         A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 4], A[1, 5],
@@ -138,7 +138,7 @@ def _advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-u
 
 @compiled(fastmath={"contract"})
 def carry_plain_loads(S, cells, new, h, state, minimum, pose):  # type: ignore[no-untyped-def]
-    """Carry the blocks of loads in place, of blocks that hold r_x and r_y; `state` is that of `Slopes`."""
+    """Carry the blocks of loads that hold r_x and r_y, in place; `state` is `Slopes.state`."""
     A = flat(state)
     vx, vy, omega = new
     last = state.shape[1] - 1
@@ -161,8 +161,8 @@ def carry_plain_loads(S, cells, new, h, state, minimum, pose):  # type: ignore[n
 def set_load_slopes(S, layout, by_load, share, h, state):  # type: ignore[no-untyped-def]
     """Set the direct rows of the loads.
 
-    by_load (3, n) is that of `load_gradients`, share (n,) holds the friction factors, not below 0, `state` is
-    that of `Slopes`.
+    by_load (3, n) is from `load_gradients`, share (n,) holds the friction factors, not below 0, and `state`
+    is `Slopes.state`.
     """
     size = (FIXED_ROWS + layout.memory) * LANES
     for b in range(padded(layout.n) // LANES):
@@ -177,7 +177,7 @@ def set_load_slopes(S, layout, by_load, share, h, state):  # type: ignore[no-unt
 
 @compiled(fastmath={"contract"})
 def carry_direct(S, first, layout, state, minimum, pose, h):  # type: ignore[no-untyped-def]
-    """Carry the blocks from `first` on in place; their direct rows are set, and used up."""
+    """Carry the blocks from `first` on in place; their direct rows must be set, and are overwritten."""
     A = flat(state)
     memory = layout.memory
     size = (FIXED_ROWS + memory) * LANES
@@ -207,9 +207,9 @@ def set_other_slopes(S, layout, other):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore[no-untyped-def]
-    """Add to a row of a block `count` rows of a source from `begin` on, times the slopes from `first` on.
+    """Add `count` rows of a source from `begin` on, times the slopes from `first` on, to a row of a block.
 
-    The lanes have names of their own, or the compiler would write and read the row for each slope.
+    Each lane has a variable of its own; otherwise the compiler would write and read the row for each slope.
     """
     a = b = c = d = e = f = g = h = 0.0
     for k in range(count):
@@ -238,7 +238,7 @@ def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore
 
 @compiled(fastmath={"contract"})
 def fill_force(F, S, before, layout, slopes, frame, force, h):  # type: ignore[no-untyped-def]
-    """Fill F; `force` is that of the finger (world, N)."""
+    """Fill F, the Jacobian of the finger's force; `force` is that force (world, N)."""
     size = (FIXED_ROWS + layout.memory) * LANES
     first = padded(layout.n) // LANES
     masses = first + padded(layout.others) // LANES
@@ -264,8 +264,10 @@ def fill_force(F, S, before, layout, slopes, frame, force, h):  # type: ignore[n
 
 @compiled(fastmath={"contract"})
 def carry_memory(S, before, F, layout, down):  # type: ignore[no-untyped-def]
-    """Set the rows of memory, from those of state and force; down (E - FORCE, Y + AFTER) holds the
-    derivatives of the memory's formulas."""
+    """Set the rows of memory from those of state and force.
+
+    down (E - FORCE, Y + AFTER) holds the derivatives of the memory's formulas.
+    """
     memory = layout.memory
     rows = FIXED_ROWS + memory
     size, inertia_at = rows * LANES, STATE + memory
@@ -292,13 +294,13 @@ def carry_memory(S, before, F, layout, down):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def before_masses(S, layout):  # type: ignore[no-untyped-def]
-    """How many entries blocks S (of as many rows as a state's) have before those of the masses."""
+    """Number of entries of blocks S, with as many rows as a state's, before those of the masses."""
     return (padded(layout.n) + padded(layout.others)) * (FIXED_ROWS + layout.memory)
 
 
 @compiled()
 def store_mass_rows(S, before, share, rows, layout, out):  # type: ignore[no-untyped-def]
-    """As `store_rows` from the first row on, for the masses alone; out (wanted, n)."""
+    """Like `store_rows` from the first row on, for the masses only; out (wanted, n)."""
     masses_at = (padded(layout.n) + padded(layout.others)) * rows
     for i in range(out.shape[0]):
         _store_row(S, before, share, rows, masses_at + i * LANES, out[i])
@@ -306,9 +308,9 @@ def store_mass_rows(S, before, share, rows, layout, out):  # type: ignore[no-unt
 
 @compiled()
 def store_rows(S, before, share, rows, first, n, out):  # type: ignore[no-untyped-def]
-    """Write rows of blocks, of `rows` rows each, from the row `first` on into out (wanted, parameters).
+    """Write rows of blocks with `rows` rows each, from row `first` on, into out (wanted, parameters).
 
-    They are taken at the place `share` (0 to 1) of a step; `before` is not read where that is 1. n is the
+    They are interpolated to the fraction `share` (0 to 1) of a step; at 1, `before` is not read. n is the
     number of loads.
     """
     others_at = padded(n) * rows
@@ -320,7 +322,7 @@ def store_rows(S, before, share, rows, first, n, out):  # type: ignore[no-untype
 
 @compiled(forceinline=True)
 def _store_row(S, before, share, rows, at, out):  # type: ignore[no-untyped-def]
-    """Copy one row of as many blocks as `out` holds, the first one at `at`."""
+    """Copy one row of as many blocks as `out` spans, starting at `at`."""
     full = out.shape[0] // LANES
     for b in range(full + 1):
         end = min(out.shape[0], (b + 1) * LANES)

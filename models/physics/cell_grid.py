@@ -1,4 +1,4 @@
-"""The object as a grid of square cells with an outline, the common ground of physics, data and inference."""
+"""The object as a grid of square cells with an outline, shared by physics, data and inference."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class CellGrid:
         holes: rings (k_j, 2) of openings, clockwise, not repeated at the end, m.
 
     Raises:
-        ValueError: no cells, a non-finite number, a width that is not positive, or an outline that
+        ValueError: no cells, a number that is not finite, a width that is not positive, or an outline that
             crosses itself or has no area.
 
     Example:
@@ -67,7 +67,7 @@ class CellGrid:
         """(E, 4) outline edges (x0, y0, x1, y1); the object lies to the left of each edge."""
         rings = (self.exterior, *self.holes)
         edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
-        # A corner that is listed twice is no edge.
+        # A corner listed twice makes no edge.
         return np.ascontiguousarray(edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)])
 
 
@@ -75,7 +75,7 @@ def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> 
     """Polygon of an outline with holes.
 
     Raises:
-        ValueError: fewer than three corners, no area, or edges that cross; the message names the place.
+        ValueError: fewer than three corners, no area, or edges that cross; the message says where.
     """
     from shapely.validation import explain_validity
 
@@ -91,10 +91,10 @@ def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> 
 
 
 def checked_points(values: ArrayLike, what: str) -> FloatArray:
-    """Finite (n, 2) points.
+    """The points as a float array (n, 2), checked to be finite.
 
     Raises:
-        ValueError: another shape, or a point that is not finite; the message names `what` and the row.
+        ValueError: the wrong shape, or a point that is not finite; the message names `what` and the row.
     """
     points = np.asarray(values, dtype=float)
     if points.ndim != 2 or points.shape[1] != 2:

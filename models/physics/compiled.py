@@ -1,11 +1,11 @@
-"""Compilation of the kernels: to machine code once, kept on disk, and made anew when a kernel file changes.
+"""Compilation of the kernels: once to machine code, kept on disk, and repeated when a kernel file changes.
 
-Numba's own cache looks at the file of the outermost function alone and would go on using stale code after a
-change in a file that this one calls. Here the cache's folder carries a hash of all kernel files instead.
+Numba's own cache checks only the file of the outermost function and would keep stale code after a change in
+another file. Here the name of the cache folder contains a hash of all kernel files instead.
 
-A large function is compiled once and called by its address, a number that a kernel gets as an argument:
-numba puts a copy of what is called by name into each caller, and optimises all of it again; a parallel loop
-alone holds three. Formulas made at run time are called so too, inside kernels that were compiled before them.
+A large function is compiled once and called by its address, a number that a kernel gets as an argument. Numba
+copies functions called by name into each caller and optimises them again; a parallel loop alone holds three
+copies. Formulas made at run time are called by address too, from kernels that were compiled before them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numba.extending import intrinsic, overload
 
 
 def _source_hash() -> str:
-    # Numba keeps kernels by where their source lies: another checkout cannot use them.
+    # Numba keys kernels by the path of their source: another checkout cannot use them.
     digest = hashlib.sha256(f"{numba.__version__} {Path(__file__).parent.resolve()}".encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + path.read_bytes())
@@ -39,17 +39,17 @@ def _cache_root() -> Path:
 
 
 CACHE_FOLDER = _cache_root() / f"kernels-{_source_hash()}"
-"""Where compiled kernels are kept; under SLIPMAP_CACHE or XDG_CACHE_HOME if set, else under ~/.cache."""
+"""Folder of compiled kernels, under SLIPMAP_CACHE or XDG_CACHE_HOME if set, else under ~/.cache."""
 
 LONE_FOLDER = CACHE_FOLDER.parent / "lone-kernels"
-"""Where those of other folders are kept; each file of them stands alone, calling nothing of another."""
+"""Folder of the compiled kernels of other packages, whose files call no kernel of another file."""
 
 
 def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compile on first call and keep the result; options are numba's.
+    """Decorator: compile on first call and keep the result; options are Numba's.
 
     Args:
-        folder: where it is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.
+        folder: where the result is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.
     """
     options["no_cfunc_wrapper"] = True  # nothing in C calls kernels
 
@@ -65,13 +65,13 @@ def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[
 
 
 def without_or_with(without: Any, given: Any) -> Any:
-    """A function for kernels that is `without` where its first argument is None, and `given` where it is not.
+    """A function for kernels that is `without` if its first argument is None, and `given` otherwise.
 
-    The choice is made when a kernel is compiled, so that their results may be of different kinds.
+    The choice is made when a kernel is compiled, so the two may return different types.
     """
 
     def choice(first: Any, *others: Any) -> Any:
-        raise TypeError("this function runs in compiled code alone")
+        raise TypeError("this function runs only in compiled code")
 
     @overload(choice, jit_options={"forceinline": True})
     def chosen(first, *others):  # type: ignore[no-untyped-def]
@@ -82,7 +82,7 @@ def without_or_with(without: Any, given: Any) -> Any:
 
 
 def needs_compiling() -> bool:
-    """Whether the next call of a kernel will compile it first, which takes about half a minute."""
+    """Whether the next call of a kernel must compile it first, which takes about half a minute."""
     return not any(CACHE_FOLDER.glob("**/*.nbc"))
 
 
@@ -90,7 +90,7 @@ _addresses: dict[tuple[Any, bytes], int] = {}
 
 
 def address_of(function: Any, arguments: tuple[Any, ...]) -> int:
-    """Address of a compiled function for arguments of these kinds; compiles it where it is new."""
+    """Address of a compiled function for arguments of these types; compiles it if needed."""
     key = function, compute_fingerprint(arguments)
     if key not in _addresses:
         signature = types.void(*(typeof(argument) for argument in arguments))
@@ -103,7 +103,7 @@ def address_of(function: Any, arguments: tuple[Any, ...]) -> int:
 def call_compiled(typingctx, function, address, arguments):  # type: ignore[no-untyped-def]
     """Call a compiled function, which returns nothing, by its address from `address_of`.
 
-    The function itself says which kinds of arguments are right, for its address does not.
+    The function itself is passed to check the types of the arguments.
     """
     kinds = tuple(arguments)
     if kinds not in function.dispatcher.overloads:
@@ -126,7 +126,7 @@ def call_compiled(typingctx, function, address, arguments):  # type: ignore[no-u
 def call_address(typingctx, address, arrays):  # type: ignore[no-untyped-def]
     """Call the C function `void f(double*, double*, …)` at an integer address with a tuple of arrays.
 
-    Nothing is checked: the arrays must be contiguous, of floats and as long as the function expects.
+    Nothing is checked: the arrays must be contiguous float arrays of the lengths that the function expects.
     """
     signature = types.void(address, arrays)
 
@@ -146,11 +146,11 @@ def call_address(typingctx, address, arrays):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def borrowed(typingctx, value):  # type: ignore[no-untyped-def]
-    """The same arrays, alone or in tuples, without counting who uses them.
+    """The same arrays, alone or in tuples, without reference counting.
 
-    Numba counts references to each array of a tuple whenever a function is handed it, also where the function
-    is inlined; in a step of a third of a microsecond that takes longer than the arithmetic. Whoever borrows
-    must hold what was borrowed until it is no longer used, with `keep`.
+    Numba counts references to each array of a tuple whenever a function receives it, even if the function is
+    inlined; in a step of a third of a microsecond that takes longer than the arithmetic. The caller must
+    `keep` what it borrowed until the last use.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -173,7 +173,7 @@ def _uncounted(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 @intrinsic
 def keep(typingctx, value):  # type: ignore[no-untyped-def]
-    """Hold arrays, alone or in tuples, until here."""
+    """Keep arrays, alone or in tuples, alive until this call."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return context.get_dummy_value()

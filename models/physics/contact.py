@@ -1,25 +1,26 @@
-"""Contact of a round finger with the object's outline: where they touch, and the force that answers.
+"""Contact of a round finger with the object's outline: where they touch, and with what force.
 
-The contact is compliant and has a Coulomb cone. Its impulse is the projection, in the metric of the
-regularisation, of the impulse that springs would give (Castro et al., "An unconstrained convex formulation of
-compliant contact", 2022, the model behind Drake's SAP):
+The contact is compliant and has a Coulomb cone. Its impulse is the impulse of springs, projected onto the
+cone in the metric of the regularisation (Castro et al., "An unconstrained convex formulation of compliant
+contact", 2022, the model behind Drake's SAP):
 
     y_n = -(gap⁺ + τ (gap⁺ - gap) / h) / (h R),   1/R_n = (1 + τ/h) / R,   y_t = v_t / R_t,
     γ = argmin over |γ_t| <= mu γ_n of |γ - y|² in the metric (R_n, R_t),
 
-with the gap at the start and at the end of the step and the finger's tangential speed v_t against the object.
+with the gap at the start and at the end of the step and the finger's tangential speed v_t relative to the
+object.
 
-It is the gradient of a convex function of the object's twist, so that the step stays convex. Both
-regularisations scale with the object's whole friction load F, so that the motion does not depend on the
-units of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an
-impulse h F.
+The impulse is the gradient of a convex function of the object's twist, so the step stays convex. Both
+regularisations scale with the object's total friction load F, so the motion does not depend on the units of
+mass: a finger that pushes with F penetrates by `penetration`, and creeps at `stick_speed` under an impulse
+h F.
 
 The damping grows with the depth x at the start of the step, as in the law of Hunt and Crossley (1975), but
-levels off: τ = relaxation · x² / (x² + (penetration / 2)²). So a blow ends in pushing, whatever the step, and
-nothing is felt before it is touched.
+levels off: τ = relaxation · x² / (x² + (penetration / 2)²). So a blow ends in pushing at any step length, and
+no force acts before touch.
 
-A limit of this contact: a finger that slips at v acts from a distance of mu h v, a trait of the convex model
-that shrinks with the step.
+A limit of this contact: a finger that slips at v acts from a distance of mu h v, an artefact of the convex
+model that shrinks with the step.
 """
 
 from __future__ import annotations
@@ -32,30 +33,32 @@ import numpy as np
 from slipmap.models.physics.compiled import compiled
 
 MAX_CONTACTS = 2
-"""A round finger in a concave corner touches two edges."""
+"""Most contacts of a round finger: in a concave corner it touches two edges."""
 
 SEPARATE, STICK, SLIDE_FORWARD, SLIDE_BACK = 0, 1, 2, 3
 """State of one contact in one step; the finger slides forward along the tangent (-n_y, n_x), or back."""
 
 CONTACT_COLUMNS = 7
-"""Row of a contact: normal n_x, n_y; point r_x, r_y; gap; `turn` (1/m) and `slide` (-), by which a unit
-tangential move of the tip turns the normal and shifts the point."""
+"""Length of a contact's row: normal n_x, n_y; point r_x, r_y; gap; `turn` (1/m) and `slide` (-), by which a
+unit tangential move of the tip turns the normal and shifts the point."""
 
 
 class Cone(NamedTuple):
     """The law of all contacts of a push."""
 
     mu: float  # friction with the finger
-    give: float  # penetration under one newton, m/N
-    compliance: float  # of the finger, in series with it, m/N
+    give: float  # penetration per force, m/N
+    compliance: float  # of the finger, in series with `give`, m/N
     tangential: float  # 1/R_t, kg
-    damping: float  # τ/h, most by which damping stiffens a contact within a step
+    damping: float  # largest τ/h, by which damping stiffens a contact within a step
     ramp: float  # penetration at which half of that acts, m
 
 
 class Contact(NamedTuple):
-    """One contact in one step, in the step's middle frame. A twist v moves the object at the contact with
-    n_x v_x + n_y v_y + n_w omega along the normal and -n_y v_x + n_x v_y + t_w omega along the tangent.
+    """One contact in one step, in the step's middle frame.
+
+    With twist v the object moves at the contact with n_x v_x + n_y v_y + n_w omega along the normal and
+    -n_y v_x + n_x v_y + t_w omega along the tangent.
     """
 
     # nx, ny: normal, out of the object
@@ -67,7 +70,7 @@ class Contact(NamedTuple):
     # nw, tw: n_w and t_w, m
     nw: float
     tw: float
-    closing: float  # normal speed at which the step would just end in touch, m/s
+    closing: float  # normal speed at which the step would end exactly in touch, m/s
     drag: float  # tangential speed of the finger, m/s
     # turn, slide: see `CONTACT_COLUMNS`
     turn: float
@@ -80,16 +83,16 @@ class Contact(NamedTuple):
 
 @compiled(forceinline=True)
 def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untyped-def]
-    """Places where a disc may touch the outline.
+    """Find where a disc may touch the outline.
 
-    Each face that the disc's centre stands before, and each convex corner in whose wedge it stands, is one
-    candidate; the nearest `MAX_CONTACTS` within `margin` are kept. A centre inside the object gets the
-    nearest point of the outline alone.
+    Candidates are each face that the disc's centre faces and each convex corner in whose wedge it lies; the
+    nearest `MAX_CONTACTS` within `margin` are kept. A centre inside the object gets only the nearest point of
+    the outline.
 
     Args:
         px, py: centre of the disc in the object frame, m.
         radius: of the disc, m.
-        margin: largest gap that is still of interest, m.
+        margin: largest gap of interest, m.
         edges: (E, 4) outline edges, the object to the left.
         out: (MAX_CONTACTS, CONTACT_COLUMNS) result, see `CONTACT_COLUMNS`; normals point out of the object.
 
@@ -117,7 +120,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         if distance2 < nearest:
             nearest = distance2
             nearest_edge = e
-        # A ray along +x leaves an outline through an odd number of edges if it starts inside.
+        # A ray along +x crosses an odd number of edges if it starts inside.
         if (dy < 0.0) != (dy < ey) and dx < dy * ex / ey:
             inside = not inside
         if distance2 > reach * reach:
@@ -134,7 +137,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
             fy = edges[following, 3] - edges[following, 1]
             cx = px - edges[e, 2]
             cy = py - edges[e, 3]
-            # Straight corners count as convex: rounding may put the centre beside both of their edges.
+            # Straight corners count as convex: rounding may place the centre beside both of their edges.
             bend = ex * fy - ey * fx
             if cx * fx + cy * fy < 0.0 and bend > -1e-9 * math.sqrt(length2 * (fx * fx + fy * fy)):
                 distance = math.sqrt(distance2)
@@ -181,7 +184,7 @@ def _fill(out, row, contact):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _keep_nearest(out, count, contact):  # type: ignore[no-untyped-def]
-    """Insert a candidate so that rows stay sorted by gap; a copy of a kept normal and place is dropped."""
+    """Insert a candidate so that rows stay sorted by gap; drop it if its normal and gap are there already."""
     nx, ny, _, _, gap, _, _ = contact
     for row in range(count):
         same = out[row, 0] * nx + out[row, 1] * ny > 1.0 - 1e-9
@@ -202,7 +205,7 @@ def _keep_nearest(out, count, contact):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def cone_of(mu, smoothing, load_sum, compliance, h):  # type: ignore[no-untyped-def]
-    """`Cone` of a step of length h; smoothing (4,) as in `Common`, load_sum (N) of all cells."""
+    """`Cone` for steps of length h; smoothing (4,) as in `Common`, load_sum (N) over all cells."""
     tangential = h * h / (h * smoothing[1] / load_sum + compliance)
     give, ramp = smoothing[2] / load_sum, 0.5 * smoothing[2]
     return Cone(mu, give, compliance, tangential, smoothing[3] / h, ramp)
@@ -218,7 +221,7 @@ def stiffening_of(gap, cone):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def stiffening_slope(gap, cone):  # type: ignore[no-untyped-def]
-    """Its derivative by the gap, 1/m."""
+    """Derivative of `stiffening_of` with respect to the gap, 1/m."""
     if gap >= 0.0:
         return 0.0
     square = cone.ramp * cone.ramp
@@ -238,9 +241,9 @@ def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def cone_matrix(mu, ratio, state):  # type: ignore[no-untyped-def]
-    """Projection on the cone while `state` holds: γ = D y, returned as D_nn, D_nt, D_tn, D_tt.
+    """Projection onto the cone in one state: γ = D y, returned as D_nn, D_nt, D_tn, D_tt.
 
-    It is linear in each state, so D is also the derivative; on the border between two states, one-sided.
+    It is linear in each state, so D is also the derivative; on the border of two states, a one-sided one.
     """
     if state == STICK:
         return 1.0, 0.0, 0.0, 1.0

@@ -4,21 +4,21 @@ A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 
     φ_i = sqrt(uᵀ Q_i u + (ρ omega)² + ε²),
 
-Q_i being symmetric and positive; Q = 1 is Coulomb's law of `newton.py`. Drag adds
-½ D_i (|u_i|² + w²/6 omega²), and a blade, which resists with F along n, F sqrt((b·v)² + ε²) with
-b = (n_x, n_y, r × n). A pyramid of friction, by which simulators replace the cone, takes the place of a part
-of the norm: c φ_i + d (ψ(u_i·e) + ψ(u_i·n)), e and n being unit vectors across each other and
+where Q_i is symmetric and positive definite; Q = 1 is Coulomb's law of `newton.py`. Drag adds
+½ D_i (|u_i|² + w²/6 omega²), and a blade that resists motion along n with F adds F sqrt((b·v)² + ε²) with
+b = (n_x, n_y, r × n). A friction pyramid, the simulators' substitute for the cone, replaces part of the norm:
+c φ_i + d (ψ(u_i·e) + ψ(u_i·n)), with perpendicular unit vectors e and n and
 ψ(w) = sqrt(w² + (ρ omega)²/4 + ε_p²). With e along x and d = 1 it is a square; a diamond has e along the
-diagonal and d = 1/√2, as max(|x|, |y|) = (|x + y| + |x - y|)/2. All of them are convex in the twist v, so the
-step stays what it is.
+diagonal and d = 1/√2, since max(|x|, |y|) = (|x + y| + |x - y|)/2. All of them are convex in the twist v, so
+the step stays a convex problem.
 
-What the formulas of effects are evaluated at, y (Y,), joins
+The formulas of effects are evaluated at y (Y,), which joins
 
     the state before the step: x, y, θ (world), v_x, v_y, omega (object frame);
     memory: nothing, or the last force of the finger on the object (world, N) and the effects' own numbers;
     m, s_x, s_y, J;  and the effects' parameters.
 
-`slipmap.models.effects.formulas` writes functions that keep to it; rollouts and single steps call them.
+`slipmap.models.effects.formulas` writes functions with this layout; rollouts and single steps call them.
 """
 
 from __future__ import annotations
@@ -32,41 +32,43 @@ from numpy.typing import NDArray
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.newton import coulomb_sums, quadratic_of, register_cells
 
-# Order of the numbers that formulas are evaluated at, and of those that they fill in.
+# Numbers of entries in the arguments of formulas.
 STATE = 6
 FORCE = 2
 INERTIA = 4
 
 BODY_OUTPUTS = 5
-"""Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
-each blade adds F, b_x, b_y, b_omega. Where there are pyramids, c follows, and d, e_x, e_y of each."""
+"""Number of outputs of a body: wrench (middle frame: 2 forces, torque about the origin), inertia factor,
+compliance of the finger (m/N). Each blade adds F, b_x, b_y, b_omega. If there are pyramids, c follows, and d,
+e_x, e_y of each."""
 
 INERTIA_FACTOR = 3
 COMPLIANCE = 4
 
 STRETCH = 3
-"""Entries of a cell's Q: q_xx, q_xy, q_yy."""
+"""Number of entries of a cell's Q: q_xx, q_xy, q_yy."""
 
 CONSTANTS = 11
-"""Time in the middle of the step, h, order of the push in the experiment, gravity, cell width, the cells'
-centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), and their number."""
+"""Number of constants: time in the middle of the step, h, index of the push in the experiment, gravity, cell
+width, the cells' centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), their number.
+"""
 
 AFTER = 8
-"""What memory is renewed from besides y: x, y, θ, v_x, v_y, omega after the step and the force in it."""
+"""Number of inputs of memory formulas besides y: x, y, θ, v_x, v_y, omega after the step, its force (2)."""
 
 RIDGE = 10.0
-"""ε_p in ε: where all cells slide along one side of a pyramid, the step would find sharper ones with many
+"""ε_p in units of ε: with sharper pyramids, a step in which all cells slide along one side would need many
 more evaluations."""
 
 RIDGE_SPIN = 0.25
-"""Share of ρ² in ψ. The mean of |w| over a cell is |w| of its middle unless w changes its sign in it: over
-cells that spin, ρ² itself would count 3 % too much, and a quarter errs by less than one."""
+"""Share of ρ² in ψ. The mean of |w| over a cell is |w| at its centre unless w changes sign within the cell:
+for spinning cells ρ² itself would give 3 % too much, and a quarter of it errs by less than 1 %."""
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 class EffectCells(NamedTuple):
-    """The cells as a step with effects sees them."""
+    """The cells in the form that a step with effects uses."""
 
     # (n,) friction loads times their factors, f_i s_i, N; n is a multiple of `LANES`
     load: NDArray[np.float64]
@@ -77,7 +79,7 @@ class EffectCells(NamedTuple):
     rho2: float
     eps2: float
     stretched: bool  # whether any Q is not 1
-    # qxx, qxy, qyy: (n,) each cell's Q, object frame; without entries unless stretched
+    # qxx, qxy, qyy: (n,) each cell's Q, object frame; empty unless stretched
     qxx: NDArray[np.float64]
     qxy: NDArray[np.float64]
     qyy: NDArray[np.float64]
@@ -90,7 +92,7 @@ class EffectCells(NamedTuple):
 
 @compiled(forceinline=True)
 def _ridge(pyramid, k):  # type: ignore[no-untyped-def]
-    """d and the unit vector of a pyramid (3,): e where k is even, n across it where k is odd."""
+    """d and a unit vector of a pyramid (3,): e for even k, the perpendicular n for odd k."""
     d, ex, ey = pyramid[0], pyramid[1], pyramid[2]
     return (d, ex, ey) if k % 2 == 0 else (d, -ey, ex)
 
@@ -136,15 +138,18 @@ def _stretched_sums(cells, v):  # type: ignore[no-untyped-def]
         hxw += a * tx - b * px * pw
         hyw += a * ty - b * py * pw
         hww += a * (x * ty - y * tx) - b * pw * pw
-    # The bound on the third derivative grows with the ellipse's long axis.
+    # The bound on the third derivative scales with the ellipse's long axis.
     bend *= cells.longest * math.sqrt(cells.longest)
     return (gx, gy, gw), (hxx, hxy, hxw, hyy, hyw, hww + cells.rho2 * a_sum), bend
 
 
 @compiled(fastmath=_FAST)
 def _ridge_sums(cells, v, ex, ey):  # type: ignore[no-untyped-def]
-    """The sums of friction along one unit vector e: along e and about the origin; Hessian as e e, e omega and
-    omega omega; and the bound on its change."""
+    """The sums of friction along one unit vector e.
+
+    Returns:
+        Gradient along e and about the origin; Hessian as e e, e omega, omega omega; the bound on its change.
+    """
     vx, vy, omega = v
     load, rx, ry = cells.load, cells.rx, cells.ry
     along = vx * ex + vy * ey
@@ -228,7 +233,7 @@ register_cells(EffectCells, _effect_model)
 
 @compiled(fastmath={*_FAST, "nnan"})
 def longest_axis(qxx, qxy, qyy):  # type: ignore[no-untyped-def]
-    """`EffectCells.longest` of some Q."""
+    """`EffectCells.longest` of the cells' Q."""
     longest = 2.0
     for i in range(qxx.shape[0]):
         apart = qxx[i] - qyy[i]
@@ -252,7 +257,7 @@ def drag_sums(drag, rx, ry, cell_width):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"})
 def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
-    """Fill by_load (3, n): derivatives of friction's gradient at the twist v by each cell's load f_i s_i."""
+    """Fill by_load (3, n): derivative of friction's gradient at the twist v per load f_i s_i of each cell."""
     vx, vy, omega = v
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
@@ -297,9 +302,9 @@ def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
 
 @compiled()
 def pyramid_slopes(cells, dnumbers, v, h, G):  # type: ignore[no-untyped-def]
-    """Add to G (3, Y) the derivative of the gradient through c, and through d and e of each pyramid.
+    """Add to G (3, Y) the derivative of the gradient through c and through d and e of each pyramid.
 
-    `dnumbers` (1 + 3 k, Y) are the derivatives of these; v is the twist after the step.
+    `dnumbers` (1 + 3 k, Y) holds the derivatives of these; v is the twist after the step.
     """
     vx, vy, omega = v
     load, rx, ry = cells.load, cells.rx, cells.ry
@@ -342,7 +347,7 @@ def pyramid_slopes(cells, dnumbers, v, h, G):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"})
 def drag_gradients(cells, v, h, cell_width, by_drag):  # type: ignore[no-untyped-def]
-    """Fill by_drag (3, n): h times the same by the drags of cells of some width, m."""
+    """Fill by_drag (3, n): h times the gradient's derivative with respect to the drag of each cell."""
     vx, vy, omega = v
     rx, ry = cells.rx, cells.ry
     turning = cell_width * cell_width / 6.0 * omega
@@ -357,7 +362,7 @@ def drag_gradients(cells, v, h, cell_width, by_drag):  # type: ignore[no-untyped
 
 @compiled(fastmath=_FAST)
 def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
-    """Fill by_stretch (9, n): h times the same by the q_xx, q_xy, q_yy of each cell, three rows each."""
+    """Fill by_stretch (9, n): h times the derivatives in q_xx, q_xy, q_yy of each cell, three rows each."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
@@ -386,7 +391,7 @@ def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"})
 def weigh_cells(load, factor, h, by_load, by_factor):  # type: ignore[no-untyped-def]
-    """Fill by_factor (3, n): what friction factors do to the gradient; nothing where one was cut at 0."""
+    """Fill by_factor (3, n): the gradient's derivative per friction factor; 0 for factors cut at 0."""
     for a in range(3):
         row, slope = by_factor[a], by_load[a]
         for i in range(load.shape[0]):

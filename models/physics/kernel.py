@@ -1,16 +1,16 @@
 """One step of the model, and rollouts of many: the compiled loop, with the Jacobian carried along.
 
-A step goes, in the order of this file,
+A step calls, in this order,
 
-    supported    the loads, where part of the object may lie beyond the table's rim (`support.py`)
-    terms_at     what effects change in this step, by their formulas at the state before it (`terms.py`)
-    take_step    free motion and given forces, the finger, its contacts, the minimum, the way along it
+    supported    the loads, if part of the object may lie beyond the table's rim (`support.py`)
+    terms_at     the terms that effects change, by their formulas at the state before the step (`terms.py`)
+    take_step    free motion, applied forces, finger, contacts, the minimum, and the motion along it
     set_slopes   direct derivatives of the minimum's gradient and of the finger's impulse
     carry        the Jacobian over the step
-    remember     what effects keep for the next one
+    remember     the effects' memory for the next step
 
-`_roll` repeats it; `rollout_all` and `single_steps` are the doors, from `rollout.py` and `stepper.py`. A
-single step is a rollout of one step that is differentiated by what drives it, too.
+`_roll` repeats it. `rollout.py` calls `rollout_all`, `stepper.py` calls `single_steps`. A single step is a
+rollout of one step, differentiated also with respect to what drives it.
 """
 
 from __future__ import annotations
@@ -113,14 +113,14 @@ from slipmap.models.physics.terms import (
 )
 
 INPUTS = 9
-"""Last columns of a single step's Jacobian: wrench (5), finger before and after (4), which drive it."""
+"""Number of last columns of a single step's Jacobian, its drive: wrench (5), finger before and after (4)."""
 
-# Where the pose and the force of a single step are wanted: in the first step, at its end.
+# Sample of the pose and force of a single step: in the first step, at its end.
 _FIRST, _END = np.zeros(1, np.int64), np.ones(1)
 
 
 class Room(NamedTuple):
-    """Where a rollout keeps its derivatives and contacts."""
+    """Storage of a rollout for derivatives and contacts."""
 
     # S, before, F: blocks after a step, before it, and of the finger's force, see `blocks.py`
     S: NDArray[np.float64]
@@ -132,15 +132,15 @@ class Room(NamedTuple):
 
 @compiled(inline="always")
 def take_step(model, common, push, number, terms, motion, guess, contacts, derive):  # type: ignore[no-untyped-def]
-    """`Taken`, the step with this number from this motion.
+    """Solve one step; returns `Taken`.
 
     Args:
         model, common, push: `Model`, `Common`, `OnePush`.
-        number: of the step.
-        terms, motion: `Terms`, and `Motion` before it.
+        number: index of the step.
+        terms, motion: `Terms` of the step, and `Motion` before it.
         guess: of the new twist.
-        contacts: (MAX_CONTACTS, CONTACT_COLUMNS) that are filled in.
-        derive: whether derivatives will be asked for.
+        contacts: (MAX_CONTACTS, CONTACT_COLUMNS), filled in here.
+        derive: whether derivatives are wanted.
     """
     h, v, cos, sin, quarter = push.h, motion.v, motion.cos, motion.sin, motion.quarter
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
@@ -204,7 +204,7 @@ def _set_last_inputs(inputs, push, number, taken, layout, slopes):  # type: igno
 def set_slopes(  # type: ignore[no-untyped-def]
     effects, rim, inputs, model, layout, push, number, motion, terms, taken, slopes
 ):
-    """Set the `Slopes` of a step from a `Motion`; `model` as the table carries it."""
+    """Set the `Slopes` of a step from a `Motion`; `model` has the loads that the table carries."""
     set_step_slopes(taken, model.load_sum, slopes)
     _set_last_inputs(inputs, push, number, taken, layout, slopes)
     add_rim_slopes(rim, effects, motion, terms, taken, slopes)
@@ -213,7 +213,7 @@ def set_slopes(  # type: ignore[no-untyped-def]
 
 @compiled(inline="always")
 def carry(effects, rim, S, layout, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
-    """Carry the state's rows of the Jacobian over a step, in place."""
+    """Carry the state rows of the Jacobian over a step, in place."""
     pose = pose_update(taken.way, taken.h)
     first = carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose)
     set_other_slopes(S, layout, slopes.other)
@@ -223,7 +223,7 @@ def carry(effects, rim, S, layout, model, terms, taken, slopes):  # type: ignore
 
 @compiled(forceinline=True)
 def _sample_place(push, sample, delay):  # type: ignore[no-untyped-def]
-    """Step in whose course a pose is wanted that the tracker reports late, and the place in it, 0 to 1."""
+    """Step in which a sampled pose falls, with the tracker's delay, and the fraction of that step, 0 to 1."""
     if delay == 0.0:
         return push.sample_step[sample], push.sample_fraction[sample]
     return step_of(push.sample_time[sample] - delay, push.h, push.tip.shape[0] - 1)
@@ -231,7 +231,7 @@ def _sample_place(push, sample, delay):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _set_rate(rate, push, sample, delay, dx, dy, dtheta):  # type: ignore[no-untyped-def]
-    """Set the velocity of a pose, from how it moves in its step; none where it lies outside of the push."""
+    """Set the velocity of a sampled pose from its motion in the step; zero outside the push."""
     time, h = push.sample_time[sample] - delay, push.h
     inside = 0.0 < time < (push.tip.shape[0] - 1) * h * (1.0 + 1e-9)
     rate[0], rate[1], rate[2] = (dx / h, dy / h, dtheta / h) if inside else (0.0, 0.0, 0.0)
@@ -239,7 +239,7 @@ def _set_rate(rate, push, sample, delay, dx, dy, dtheta):  # type: ignore[no-unt
 
 @compiled(forceinline=True)
 def _store_masses(rim, S, before, share, layout, out):  # type: ignore[no-untyped-def]
-    """Write rows of the masses into out (wanted, n), if there are any that are not zero."""
+    """Write the rows of the masses into out (wanted, n), if any are nonzero."""
     if rim is None:
         return
     if rim.flags[TOUCHED] != 0:
@@ -248,7 +248,7 @@ def _store_masses(rim, S, before, share, layout, out):  # type: ignore[no-untype
 
 @compiled(forceinline=True)
 def _store_mass_forces(rim, F, layout, out):  # type: ignore[no-untyped-def]
-    """The same from blocks of the force."""
+    """Write the masses' rows of the force into out (2, n), if any are nonzero."""
     if rim is None:
         return
     if rim.flags[TOUCHED] != 0:
@@ -257,7 +257,7 @@ def _store_mass_forces(rim, F, layout, out):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _store_state_masses(rim, S, layout, out):  # type: ignore[no-untyped-def]
-    """Write the rows of twist and memory of the masses into out (Z, n), as `_roll` writes the others."""
+    """Write the masses' rows of twist and memory into out (Z, n); `_roll` writes the others."""
     if rim is None:
         return
     if rim.flags[TOUCHED] != 0:
@@ -270,7 +270,7 @@ def _store_state_masses(rim, S, layout, out):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _note_samples(rim, poses, forces):  # type: ignore[no-untyped-def]
-    """Note how many poses and forces that were wanted are past when a push first comes near the rim."""
+    """When a push first comes near the rim, record how many poses and forces were sampled before."""
     if rim is None:
         return
     if rim.flags[TOUCHED] != 0 and rim.found[REACHED] == 0.0:
@@ -281,7 +281,7 @@ def _note_samples(rim, poses, forces):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _give_rim(rim, model, motion, time, result):  # type: ignore[no-untyped-def]
-    """Look once more where the object has come to lie, and give what was found."""
+    """Check the object's final pose for tipping, and write what was found into the result."""
     if rim is None:
         return
     if rim.found[TIPS] == np.inf:
@@ -291,7 +291,7 @@ def _give_rim(rim, model, motion, time, result):  # type: ignore[no-untyped-def]
 
 @compiled(inline="always")
 def _owned(common, maps, formulas, table, k, b, h, columns, memory):  # type: ignore[no-untyped-def]
-    """`Model` k under push b, of steps of length h, `Rim`, what `effects_of` gives, and `Room`."""
+    """`Model` k under push b with steps of length h, `Rim`, the results of `effects_of`, and `Room`."""
     model = model_of(common, maps, k, h)
     effects, plain_layout, delay = effects_of(formulas, k, b, model, columns, memory)
     rim, layout = rim_under(table_of(table, k, b), maps.mass[k], model, plain_layout)
@@ -307,8 +307,8 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
     """Simulate one push of one model into its result.
 
     Args:
-        things: what `_owned` gives.
-        inputs: how many columns of the Jacobian, the last, are by what drives the first step; or None.
+        things: results of `_owned`.
+        inputs: number of last columns of the Jacobian that belong to the drive of the first step, or None.
         common, push, result: `Common`, `OnePush`, `Results` of the push.
     """
     model, rim, effects, layout, delay, room = things
@@ -389,7 +389,7 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
 
 @compiled()
 def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
-    """Job number k B + b: push b of model k.
+    """Run job k B + b: push b of model k.
 
     Args:
         job: its number.
@@ -397,9 +397,8 @@ def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: i
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
         formulas: fields of `Formulas`, or None for the plain model.
-        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None where all cells are supported wherever they
-            are.
-        results: fields of `Results`, where those of the push are filled in.
+        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None if cells are supported everywhere.
+        results: fields of `Results`; those of the push are filled in.
     """
     given = borrowed((common, maps, pushes, formulas, table, results))
     common, maps, pushes, formulas, table, results = given
@@ -428,7 +427,7 @@ def rollout_all(
     table: FloatArray | None,
     results: Results,
 ) -> None:
-    """All models times all pushes, on all threads; `common`, `maps` and `table` as in `rollout_one`."""
+    """Roll out all models under all pushes, on all threads; `common`, `maps`, `table` as in `rollout_one`."""
     plain = None if formulas is None else tuple(formulas)
     arguments = (common, maps, tuple(pushes), plain, table, tuple(results))
     # A single job is not worth waking the other threads.
@@ -441,7 +440,7 @@ def rollout_all(
 
 @compiled()
 def loads_at(common, maps, table, poses, factors):  # type: ignore[no-untyped-def]
-    """What the table carries of K objects that lie at G poses.
+    """Factors φ_i from the cells' weights to the loads that the table carries, for K models at G poses.
 
     Args:
         common: fields of `Common`.
@@ -464,9 +463,9 @@ def loads_at(common, maps, table, poses, factors):  # type: ignore[no-untyped-de
 def single_steps(  # type: ignore[no-untyped-def]
     common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found
 ):
-    """One step of K models, one after the other: waking other threads takes longer than the steps.
+    """Take one step of K models in sequence, since waking other threads takes longer than the steps.
 
-    The state is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), the
+    The state is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), and the
     effects' own memory. The columns of its Jacobian are, in this order,
 
         f_1 … f_n, m, s_x, s_y, J, mu_finger, x, y, θ, v_x, v_y, omega, the effects' parameters (as in a
@@ -479,15 +478,15 @@ def single_steps(  # type: ignore[no-untyped-def]
         table: (1, 1, 7) `Rim.top`, or None.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
-        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not
-            solved.
+        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
+            was not solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
-        by_mass: (K, Z, n) result, derivatives by the masses through the loads' shift, zeros where there is
-            none; or an array without columns.
-        rim_found: (K, RIM_RESULTS) result, or an array without columns where there is no table.
+        by_mass: (K, Z, n) result: derivatives with respect to the masses through shifting loads, zero if
+            loads do not shift; or an array without columns.
+        rim_found: (K, RIM_RESULTS) result, or an array without columns if there is no table.
 
     Returns:
-        Number of the first model whose step was not solved, or -1.
+        Index of the first model whose step was not solved, or -1.
     """
     given = borrowed((common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found))
     common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found = given
@@ -497,7 +496,7 @@ def single_steps(  # type: ignore[no-untyped-def]
     for k in range(len(states)):
         state, here = states[k], slice(k, k + 1)
         push = OnePush(h, tip, row, state[:3], state[3:STATE], _FIRST, _END, _END, _FIRST)
-        # What a rollout gives out of poses and forces goes to the rows of the state that they are.
+        # A rollout's poses and forces go to the rows of the state that hold them.
         poses, forces = after[here, :3], after[here, STATE:AFTER]
         d_poses, d_forces = jacobian[here, :3], jacobian[here, STATE:AFTER]
         result = Results(

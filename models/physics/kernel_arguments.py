@@ -1,7 +1,7 @@
-"""What the compiled kernels take and fill in, by name.
+"""Named tuples of the arguments and results of the compiled kernels.
 
-Numba needs about a microsecond to recognise a named tuple in a call from Python, and none for a plain one. So
-kernels are handed plain tuples, and give the fields their names again: `Common(*common)`.
+In a call from Python, Numba needs about a microsecond to recognise a named tuple and no time for a plain one.
+So kernels take plain tuples and restore the names themselves: `Common(*common)`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 
 
 class Common(NamedTuple):
-    """What all hypotheses and pushes have in common: object, finger and smoothing."""
+    """Object, finger and smoothing, common to all hypotheses and pushes."""
 
     # rx, ry: (n,) cell centres, object frame, m
     rx: FloatArray
@@ -29,16 +29,16 @@ class Common(NamedTuple):
 
 
 class ReducedMaps(NamedTuple):
-    """K hypotheses, as far as a step depends on them."""
+    """K hypotheses, reduced to what a step depends on."""
 
     load: FloatArray  # (K, n) friction loads f_i, N
     inertia: FloatArray  # (K, 4) m, s_x, s_y, J
     mu: FloatArray  # (K,) finger friction
-    mass: FloatArray  # (K, n) of the cells, kg; without columns where no table is given
+    mass: FloatArray  # (K, n) cell masses, kg; without columns if there is no table
 
 
 class JoinedPushes(NamedTuple):
-    """B pushes end to end; `*_at` (B + 1,) are the offsets at which they begin."""
+    """B pushes end to end; `*_at` (B + 1,) are the offsets at which each begins."""
 
     h: FloatArray  # (B,) steps, s
     # tip, wrench: as in `Push`; a push without a wrench has no rows there
@@ -49,7 +49,7 @@ class JoinedPushes(NamedTuple):
     # start_poses, start_twists: (K, B, 3) world; object frame
     start_poses: FloatArray
     start_twists: FloatArray
-    # sample_step, sample_fraction: (S,) ascending steps in whose course poses are wanted; place in it
+    # sample_step, sample_fraction: (S,) ascending steps in which poses are wanted, and the fraction of each
     sample_step: IntArray
     sample_fraction: FloatArray
     sample_time: FloatArray  # (S,) the same as times from the start of the push, s
@@ -59,23 +59,23 @@ class JoinedPushes(NamedTuple):
 
 
 class Formulas(NamedTuple):
-    """Compiled formulas of effects and what they are evaluated at besides the state."""
+    """Compiled formulas of effects, and their arguments besides the state."""
 
-    addresses: IntArray  # (4,) of the functions body, cells, cell slopes, memory
-    # (6,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is; number of
-    # pyramids
+    addresses: IntArray  # (4,) addresses of the functions body, cells, cell slopes, memory
+    # (6,) number of memory entries, of parameters, of blades; whether cells change; whether Q changes; number
+    # of pyramids
     sizes: IntArray
-    constants: FloatArray  # (B, CONSTANTS), see there; of the first the time before the first step
+    constants: FloatArray  # (B, CONSTANTS), see there; the first is the time before the first step
     parameters: FloatArray  # (K, P) of the effects
-    delay: FloatArray  # (K,) of the tracker, s; empty for none
+    delay: FloatArray  # (K,) of the tracker, s; empty if there is none
 
 
 class Results(NamedTuple):
-    """What rollouts of K hypotheses under B pushes fill in."""
+    """Results of rollouts of K hypotheses under B pushes."""
 
     poses: FloatArray  # (K, S, 3) world
-    # (K, S, 3) velocity of the poses, zero where the tracker's delay reaches beyond the push; for a
-    # derivative by the delay alone, else without samples
+    # (K, S, 3) velocity of the poses, zero where the tracker's delay reaches beyond the push; used only for
+    # the derivative with respect to the delay, else without samples
     rates: FloatArray
     forces: FloatArray  # (K, T, 2) of the finger on the object, world, N
     d_poses: FloatArray  # (K, S, 3, P) derivatives, or P = 0 for none
@@ -83,9 +83,9 @@ class Results(NamedTuple):
     # (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step did
     # not converge
     end: FloatArray
-    rim: FloatArray  # (K, B, RIM_RESULTS), see there; without entries where no table is given
-    # (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being held, of the
-    # poses after a push first came near the rim; without entries where no table is given
+    rim: FloatArray  # (K, B, RIM_RESULTS), see there; without entries if there is no table
+    # (K, S, 3, n) derivatives with respect to the cell masses at fixed friction loads and inertia, of the
+    # poses after a push first came near the rim; without entries if there is no table
     mass_poses: FloatArray
     mass_forces: FloatArray  # (K, T, 2, n) the same
 
@@ -93,15 +93,15 @@ class Results(NamedTuple):
 def empty_results(
     models: int, pushes: JoinedPushes, columns: int, rates: bool, rim: int = 0, masses: int = 0
 ) -> Results:
-    """Room for the results of K models.
+    """Allocate the results of K models.
 
     Args:
         models: K.
-        pushes: that are simulated.
+        pushes: the pushes to simulate.
         columns: P, 0 for no derivatives.
-        rates: whether these are wanted.
-        rim: entries of `rim`.
-        masses: n where derivatives by the cells' masses are wanted.
+        rates: whether `rates` are wanted.
+        rim: number of entries of `rim`.
+        masses: n if derivatives with respect to the cell masses are wanted, else 0.
     """
     K, B, S, T = models, len(pushes.h), pushes.sample_at[-1], pushes.force_at[-1]
     poses, forces, end = np.empty((K, S, 3)), np.empty((K, T, 2)), np.empty((K, B, 7))

@@ -1,7 +1,7 @@
-"""What kernels share: copies of arrays, small rotations, and jobs, which are pushes of models.
+"""Tools that kernels share: copies of arrays, small rotations, and jobs, each a push of a model.
 
-Numba's own slice assignments bring along code that writes the shapes into an error message, which takes three
-seconds to compile for each kind of them.
+Numba's own slice assignments include code that formats shapes for an error message, which takes three seconds
+to compile for each kind of assignment.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ def copy_into(target, source):  # type: ignore[no-untyped-def]
         target[i] = source[i]
 
 
-_SMALL = 0.1  # rad; up to here the series below are exact to rounding
+_SMALL = 0.1  # rad; up to this angle the series below are exact to rounding
 
 
 class Turn(NamedTuple):
-    """Rotation by an angle α, as by the hundredths of a radian of a step."""
+    """Rotation by an angle α, typically hundredths of a radian in a step."""
 
     # cos, sin: of α
     cos: float
     sin: float
-    # sinc, sinc_slope: sin(α)/α and its derivative by α
+    # sinc, sinc_slope: sin(α)/α and its derivative with respect to α
     sinc: float
     sinc_slope: float
 
 
 @compiled(forceinline=True, fastmath={"contract"})
 def turn_by(angle):  # type: ignore[no-untyped-def]
-    """The `Turn` by an angle in rad, from power series where it is small."""
+    """The `Turn` by an angle in rad, from power series if it is small."""
     z = angle * angle
     if z > _SMALL * _SMALL:
         c = math.cos(angle)
@@ -60,7 +60,7 @@ def turn_by(angle):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def joined(c1, s1, c2, s2):  # type: ignore[no-untyped-def]
-    """Cosine and sine of the sum of two angles given by theirs."""
+    """Cosine and sine of the sum of two angles, from those of each."""
     return c1 * c2 - s1 * s2, s1 * c2 + c1 * s2
 
 
@@ -71,7 +71,7 @@ def turned(c, s, x, y):  # type: ignore[no-untyped-def]
 
 
 class OnePush(NamedTuple):
-    """One push of one model, its attributes as in `JoinedPushes`."""
+    """One push of one model; attributes as in `JoinedPushes`."""
 
     h: float
     tip: FloatArray
@@ -103,7 +103,7 @@ def push_of(pushes, k, b):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def results_of(results, pushes, k, b):  # type: ignore[no-untyped-def]
-    """`Results` of push b of model k alone, without their first axes."""
+    """`Results` of push b of model k only, without their first axes."""
     samples = slice(pushes.sample_at[b], pushes.sample_at[b + 1])
     forces = slice(pushes.force_at[b], pushes.force_at[b + 1])
     return Results(
@@ -121,25 +121,25 @@ def results_of(results, pushes, k, b):  # type: ignore[no-untyped-def]
 
 @compiled()
 def step_of(time, h, steps):  # type: ignore[no-untyped-def]
-    """Step, of so many of length h, in whose course a time falls, and the place in it (0 to 1)."""
+    """Index of the step of length h in which a time falls, and the fraction of that step (0 to 1)."""
     step = min(max(math.ceil(time / h - 1e-9) - 1, 0), steps - 1)
     return step, min(max(time / h - step, 0.0), 1.0)
 
 
 def evenly_dealt(steps: NDArray[np.int64], models: int, threads: int | None = None) -> NDArray[np.int64]:
-    """Jobs k B + b of models times pushes, in an order whose equal parts, one a thread, are equally long.
+    """Jobs k B + b of models times pushes, ordered so that each thread gets equally long work.
 
     A parallel loop gives each thread one run of consecutive jobs. With ten pushes in the order of their
-    recording, one of two threads waited for an eighth of the time.
+    recording, one of two threads idled for an eighth of the time.
 
     Args:
-        steps: (B,) of each push.
+        steps: (B,) number of steps of each push.
         models: K.
-        threads: among which jobs are dealt; those of numba if None.
+        threads: number of threads; Numba's if None.
     """
     threads = numba.get_num_threads() if threads is None else threads
     longest_first = np.argsort(-np.tile(steps, models), kind="stable")
     turn, seat = np.divmod(np.arange(len(longest_first)), threads)
-    # Dealt there and back, as who is first in one turn gets the longer job.
+    # Dealt back and forth, since the first thread in a turn gets the longest job.
     hand = np.where(turn % 2 == 0, seat, threads - 1 - seat)
     return longest_first[np.argsort(hand, kind="stable")]

@@ -1,4 +1,4 @@
-"""Hypotheses about the object: maps of mass and friction, finger friction, parameters of effects."""
+"""Hypotheses about the object: mass and friction maps, finger friction, parameters of effects."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Maps:
 
     Attributes:
         mass: (K, n) cell masses, kg.
-        mu: (K, n) friction coefficients with the table.
-        mu_finger: (K,) friction coefficients with the finger.
-        effects: (K, P) parameters of the effects of the `Slider`; P is 0 without.
+        mu: (K, n) friction coefficients of cells on the table.
+        mu_finger: (K,) friction coefficients at the finger.
+        effects: (K, P) parameters of the `Slider`'s effects; P is 0 if it has none.
 
     Example:
         >>> import numpy as np
@@ -38,8 +38,8 @@ class Maps:
         finger = np.atleast_1d(np.ascontiguousarray(self.mu_finger, dtype=float))
         if mass.ndim != 2 or mass.shape != mu.shape or finger.shape != (len(mass),):
             raise ValueError(
-                f"maps: mass {mass.shape} and mu {mu.shape} need one shape (K, n), mu_finger "
-                f"{finger.shape} one number a map"
+                f"maps: mass {mass.shape} and mu {mu.shape} must both have shape (K, n), and mu_finger "
+                f"{finger.shape} one number per map"
             )
         for name, value in (("mass", mass), ("mu", mu), ("mu_finger", finger)):
             if not np.isfinite(value).all() or (value < 0).any():

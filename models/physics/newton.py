@@ -1,16 +1,16 @@
 """One Newton iteration of the convex step: a quadratic model of inertia and friction, with exact contact.
 
-The contact's narrow valleys then cost no evaluation of the cells. Matrices of three unknowns are tuples of
-their upper triangle here: small arrays would cost more than the arithmetic.
+With exact contact, its narrow valleys cost no evaluations of the cells. 3 × 3 matrices are tuples of their
+upper triangle here: small arrays would cost more than the arithmetic.
 
 A cell of friction load f_i = mu_i N_i that slides with velocity u_i (object frame) while the object turns at
 omega dissipates power f_i φ_i with the smoothed norm
 
     φ_i = sqrt(|u_i|² + (ρ omega)² + ε²),    u_i = (v_x - omega r_iy, v_y + omega r_ix),    ρ = w / sqrt(12).
 
-ρ stands for the spin of a finite cell. w²/12 is the exact second-order term of the mean of |u| over a square
-that slides faster than it spins, which is nearly every cell. For 60 cells cut from a disc that spins in place
-it errs by -0.02 % of those squares' torque; the radius that is exact for one square spinning in place
+ρ represents the spin of a finite cell. w²/12 is the exact second-order term of the mean of |u| over a square
+that slides faster than it spins, as nearly every cell does. For a disc of 60 cells that spins in place it
+errs by -0.02 % of those squares' torque; the radius that is exact for a single square spinning in place
 (0.3826 w) errs by +0.43 %. Cutting the disc into squares itself adds 0.52 % to 2/3 mu m g R.
 """
 
@@ -31,13 +31,13 @@ SPIN_RADIUS = 1.0 / math.sqrt(12.0)
 """Radius of gyration ρ of a cell's own friction, in cell widths."""
 
 LANES = 8
-"""Loops over cells run fastest on multiples of this; cells without load fill up the rest."""
+"""Loops over cells run fastest on multiples of this; cells without load pad the arrays."""
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 class Cells(NamedTuple):
-    """The cells as the step sees them."""
+    """The cells in the form that a step uses."""
 
     load: NDArray[np.float64]  # (n,) friction loads f_i, N; n is a multiple of `LANES`
     # rx, ry: (n,) cell centres, m
@@ -50,7 +50,7 @@ class Cells(NamedTuple):
 
 @compiled()
 def padded_cells(load, rx, ry, cell_width, slip_speed):  # type: ignore[no-untyped-def]
-    """`Cells` of n loads and centres, filled up with cells without load; `slip_speed` is ε."""
+    """`Cells` of n loads and centres, padded with cells without load; `slip_speed` is ε."""
     n = load.shape[0]
     rows = np.zeros((3, (n + LANES - 1) // LANES * LANES))
     for i in range(n):
@@ -63,7 +63,7 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
     """Sums over cells from which energy, gradient and Hessian of Σ f_i φ_i follow.
 
     With s = 1/φ, a = f s, b = f s³ and g = Jᵀu = (u_x, u_y, r × u + ρ² omega), the gradient is
-    Σ a g and the Hessian Σ a JᵀJ - Σ b g gᵀ. The loop holds nothing but sums, so that it vectorises.
+    Σ a g and the Hessian Σ a JᵀJ - Σ b g gᵀ. The loop contains only sums, so that it vectorises.
 
     Returns:
         Σ f φ, Σ a, Σ a r_x, Σ a r_y, Σ a |r|², then Σ b g gᵀ as xx, xy, yy, xω, yω, ωω, and last Σ f s²,
@@ -113,7 +113,7 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
 
 @compiled(forceinline=True, fastmath={"contract"})
 def plain_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
-    """Fill by_load (3, n): derivatives of Coulomb friction's gradient at the twist v by each cell's load."""
+    """Fill by_load (3, n): derivative of Coulomb friction's gradient at the twist v per load of each cell."""
     vx, vy, omega = v
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
@@ -129,7 +129,7 @@ def plain_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
 
 
 class Quadratic(NamedTuple):
-    """Gradient and Hessian (upper triangle) by v_x, v_y, omega of a convex function at one twist."""
+    """Gradient and Hessian (upper triangle) in v_x, v_y, omega of a convex function at one twist."""
 
     gx: float
     gy: float
@@ -143,7 +143,7 @@ class Quadratic(NamedTuple):
 
 
 class Impulse(NamedTuple):
-    """What one contact does in one step: its state in the cone and its impulses γ_n, γ_t, N s."""
+    """State of one contact in its cone and its impulses γ_n, γ_t in one step, N s."""
 
     state: int
     normal: float
@@ -151,7 +151,7 @@ class Impulse(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Minimum of a quadratic model with contacts: the way to it, inverse Hessian there, and contacts."""
+    """Minimum of a quadratic model with contacts: the step to it, the inverse Hessian there, and contacts."""
 
     dx: float
     dy: float
@@ -167,23 +167,23 @@ class Minimum(NamedTuple):
 
 
 def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
-    """Inertia and friction at the twist v, all but the contact; chosen by the class of `cells` when compiled.
+    """Inertia and friction at the twist v, without the contact; compilation selects by the class of `cells`.
 
     Args:
-        cells: `Cells`, or another class for which an implementation is registered, as `EffectCells`.
+        cells: `Cells`, or another class with a registered implementation, such as `EffectCells`.
         inertia: m, s_x, s_y, J.
-        star: momentum of the free motion: two components, N s, and the angular one, N m s.
+        star: momentum of the free motion: two linear components, N s, and the angular one, N m s.
         h: step, s.
         v: twist.
 
     Returns:
         The `Quadratic`, and the bound Σ f s² on its change, see `friction_moments`.
     """
-    raise TypeError("smooth_model runs in compiled code alone")
+    raise TypeError("smooth_model runs only in compiled code")
 
 
 def register_cells(kind: type, implementation: Callable[..., Any]) -> None:
-    """Let `smooth_model` call `implementation` where its cells are of the named tuple class `kind`."""
+    """Make `smooth_model` call `implementation` for cells of the named tuple class `kind`."""
 
     @overload(smooth_model, jit_options={"forceinline": True})
     def chosen(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
@@ -210,7 +210,7 @@ def coulomb_sums(cells, v):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def quadratic_of(inertia, star, h, v, gradient, hessian):  # type: ignore[no-untyped-def]
-    """`Quadratic` of inertia and friction; arguments as those of `smooth_model` and results of its sums."""
+    """`Quadratic` of inertia and friction, from the arguments of `smooth_model` and the sums over cells."""
     m, sx, sy, J = inertia
     vx, vy, omega = v
     gx, gy, gw = gradient
@@ -240,7 +240,7 @@ register_cells(Cells, _coulomb_model)
 
 @compiled(forceinline=True, fastmath={"contract"})
 def with_contact(model, contact, cone, state, y_n, y_t):  # type: ignore[no-untyped-def]
-    """The model with the energy of a contact added that has spring impulses y_n, y_t and keeps its state."""
+    """The model plus the energy of a contact with spring impulses y_n, y_t that keeps its state."""
     if state == SEPARATE:
         return model
     nn, nt, tn, tt = cone_matrix(cone.mu, contact.ratio, state)
@@ -289,10 +289,10 @@ def minimum_of(model, first, second):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def _impulse_after(contact, cone, state, y_n, y_t, way):  # type: ignore[no-untyped-def]
-    """Contact after the way (d_x, d_y, d_w), as if it kept its state.
+    """Contact after the step (d_x, d_y, d_w), as if it kept its state.
 
     Returns:
-        The `Impulse`, the state that the springs then ask for, and by how much the impulse is not theirs.
+        The `Impulse`, the state that the springs then imply, and the difference to the impulse in that state.
     """
     dx, dy, dw = way
     y_n += (contact.nx * dx + contact.ny * dy + contact.nw * dw) * contact.normal
@@ -311,8 +311,8 @@ def _impulse_after(contact, cone, state, y_n, y_t, way):  # type: ignore[no-unty
 def solve_with_contacts(model, v, first, second, count, cone):  # type: ignore[no-untyped-def]
     """Minimise the quadratic model around v plus the exact energy of the first `count` contacts.
 
-    In each combination of contact states the problem is a linear one. The states of the last candidate are
-    tried first; as the minimum is unique, going through all combinations finds it if those run in a circle.
+    For each combination of contact states the problem is linear. The states that the last candidate implies
+    are tried first. If they cycle, trying all combinations finds the minimum, which is unique.
 
     Returns:
         `Minimum`.
@@ -372,7 +372,7 @@ def _contact_slope(contact, cone, v, d):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def slope_along(model, v, d, first, second, count, cone):  # type: ignore[no-untyped-def]
-    """Derivative along d, at v, of the step's whole function; `model` holds its smooth part there."""
+    """Derivative of the step's whole function along d, at v; `model` holds its smooth part there."""
     slope = model.gx * d[0] + model.gy * d[1] + model.gw * d[2]
     if count > 0:
         slope += _contact_slope(first, cone, v, d)

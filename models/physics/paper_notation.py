@@ -1,4 +1,4 @@
-"""The paper's notation: poses with three numbers a cell, and the distance between two of them.
+"""The paper's notation: poses with three numbers per cell, and the distance between two of them.
 
 Song and Boularias (IROS 2020, section III) write the pose of an object of n cells as
 
@@ -50,10 +50,10 @@ def add(q_a: ArrayLike, q_b: ArrayLike, centers: ArrayLike) -> FloatArray:
 
 
 def checked_triple(values: ArrayLike, what: str) -> FloatArray:
-    """Finite (…, 3) numbers.
+    """The values as a float array (…, 3), checked to be finite.
 
     Raises:
-        ValueError: another last axis, or an entry that is not finite; the message begins with `what`.
+        ValueError: the last axis is not 3, or an entry is not finite; the message begins with `what`.
     """
     array = np.asarray(values, dtype=float)
     if array.ndim == 0 or array.shape[-1] != 3:

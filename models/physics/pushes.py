@@ -1,4 +1,4 @@
-"""What drives the object: a finger's path, or a force; one push, or many joined for the kernels."""
+"""Drives of the object, a finger's path or a force: one push, or many joined for the kernels."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from slipmap.models.physics.kernel_arguments import JoinedPushes
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """What drives the object for N steps of length h, and when to look.
+    """The drive of N steps of length h, and the times at which results are wanted.
 
     Attributes:
         h: step, s.
         tip: (N + 1, 2) finger centre at the ends of the steps, world, m; NaN where there is no finger.
         start_pose: (3,) x, y, θ in the world.
         start_twist: (3,) v_x, v_y, omega in the object frame.
-        pose_times: (S,) ascending times from the start at which poses are wanted, s; default ends of steps.
-        force_times: (T,) the same for the contact force (the mean over the step that holds the time).
+        pose_times: (S,) ascending times from the start at which poses are wanted, s; by default the ends of
+            the steps.
+        force_times: (T,) the same for the contact force, which is the mean over the step around that time.
         wrench: (N, 5) applied force (world, N), its point (object frame, m) and a torque (N m), or None.
-        order: place of the push in the experiment, from 0, for effects that change from push to push.
+        order: index of the push in the experiment, from 0, for effects that change from push to push.
 
     Raises:
-        ValueError: shapes that do not fit, a step that is not positive, times that lie outside the push or
-            do not ascend.
+        ValueError: shapes do not match, the step is not positive, or times lie outside the push or do not
+            ascend.
 
     Example:
         >>> import numpy as np
@@ -77,7 +78,7 @@ class Push:
             ascending = value.ndim == 1 and bool(np.all(np.diff(value) >= 0))
             if not ascending or (len(value) and not (value[0] >= 0 and value[-1] <= end)):
                 raise ValueError(
-                    f"push: {name} must be one row of times that ascend within 0 and {end:.6g} s"
+                    f"push: {name} must be a 1-D array of ascending times between 0 and {end:.6g} s"
                 )
             object.__setattr__(self, name, value)
         if self.wrench is not None:
@@ -91,12 +92,12 @@ class Push:
 
     @cached_property
     def pose_samples(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """(S,) step in whose course each pose time falls, and (S,) the place in it, 0 to 1."""
+        """(S,) step in which each pose time falls, and (S,) the fraction of that step, 0 to 1."""
         return _sample_steps(self.h, len(self.tip) - 1, self.pose_times)
 
     @cached_property
     def force_steps(self) -> NDArray[np.int64]:
-        """(T,) step in whose course each force time falls."""
+        """(T,) step in which each force time falls."""
         return _sample_steps(self.h, len(self.tip) - 1, self.force_times)[0]
 
     @classmethod
@@ -111,15 +112,15 @@ class Push:
         start_pose: ArrayLike = (0.0, 0.0, 0.0),
         start_twist: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Push:
-        """Constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none.
+        """A constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none.
 
         Raises:
-            ValueError: force or point are not pairs, or the duration is not within the push.
+            ValueError: force or point is not a pair, or the duration exceeds the push.
         """
         if not (np.isfinite(h) and h > 0):
             raise ValueError(f"push: the step h must be positive, got {h} s")
         if not 0 <= duration <= steps * h * (1 + 1e-9):
-            raise ValueError(f"push: duration must lie within 0 and {steps * h:.6g} s, got {duration}")
+            raise ValueError(f"push: duration must lie between 0 and {steps * h:.6g} s, got {duration}")
         for name, pair in (("force", force), ("point", point)):
             if np.shape(pair) != (2,):
                 raise ValueError(f"push: {name} must be a pair (x, y), got {pair!r}")
@@ -135,7 +136,7 @@ def join_pushes(
     start_poses: FloatArray | None = None,
     start_twists: FloatArray | None = None,
 ) -> JoinedPushes:
-    """Pushes end to end, as the kernels take them.
+    """Join pushes end to end, as the kernels take them.
 
     Args:
         pushes: B pushes.
@@ -144,7 +145,7 @@ def join_pushes(
         start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
 
     Raises:
-        ValueError: there is no push, or starts of another shape.
+        ValueError: there is no push, or starts have the wrong shape.
     """
     if not pushes:
         raise ValueError("rollout: needs at least one push")
@@ -168,19 +169,19 @@ def join_pushes(
 
 
 def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], models: int) -> FloatArray:
-    """(K, B, 3) starts that were given, checked, or the pushes' own for all models."""
+    """(K, B, 3) the given starts, checked, or the pushes' own for all models."""
     if given is None:
         starts = np.array([own])
         return starts if models == 1 else np.repeat(starts, models, axis=0)
     shape = (models, len(own), 3)
     if np.shape(given) != shape or not np.isfinite(given).all():
         raise ValueError(f"rollout: {name} must be finite and of shape {shape}, got {np.shape(given)}")
-    # Of one kind: arrays that must not be written would have the kernels compiled once more.
+    # Read-only arrays are another type to Numba and would have the kernels compiled again.
     return np.require(given, float, ("C", "W"))
 
 
 def _sample_steps(h: float, steps: int, times: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
-    """Step in whose course each time falls, and the place in it (0 to 1)."""
+    """Step in which each time falls, and the fraction of that step (0 to 1)."""
     assert times is not None
     index = np.clip(np.ceil(times / h - 1e-9).astype(np.int64) - 1, 0, steps - 1)
     return index, np.clip(times / h - index, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Rollouts of many models under many pushes, with exact sensitivities if wanted."""
+"""Rollouts of many models under many pushes, with exact sensitivities on request."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM
 
 @dataclass(frozen=True)
 class Smoothing:
-    """Where the model is softer than Coulomb's law; small enough not to show in a push."""
+    """Constants that soften Coulomb's law, too small to show in a push."""
 
-    slip_speed: float = 1e-5  # ε of the friction norm, m/s; below it base friction acts like a viscous hold
-    # creep of a sticking finger contact under the object's whole friction load, m/s
+    slip_speed: float = 1e-5  # ε of the friction norm, m/s; slower slip meets viscous base friction
+    # creep speed of a sticking finger contact under the object's full friction load, m/s
     stick_speed: float = 1e-5
-    penetration: float = 1e-5  # depth to which the finger sinks in under the object's whole friction load, m
-    # time constant with which a compressed contact would spring back if nothing but its own damping held it,
-    # s; about 2 sqrt(penetration / (mu g)) for an object to stay on the finger that strikes it
+    penetration: float = 1e-5  # depth to which the object's full friction load presses the finger in, m
+    # time constant with which a compressed contact springs back against its own damping alone, s; at about
+    # 2 sqrt(penetration / (mu g)) a struck object stays on the finger
     relaxation: float = 4e-3
 
     def __post_init__(self) -> None:
@@ -52,21 +52,21 @@ class Smoothing:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Results for K models and B pushes; samples of all pushes are joined, `poses_of(b)` takes one push."""
+    """Results for K models and B pushes; samples of all pushes are joined, `poses_of(b)` returns one push."""
 
     poses: FloatArray  # (K, S, 3) world poses at the pushes' `pose_times`
     forces: FloatArray  # (K, T, 2) force of the finger on the object, world, N
     end: FloatArray  # (K, B, 6) last pose (world) and twist (object frame)
-    evaluations: NDArray[np.int64]  # (K, B) evaluations of the step's function
+    evaluations: NDArray[np.int64]  # (K, B) evaluations of the function that a step minimises
     pose_at: NDArray[np.int64]  # (B + 1,) offsets of the pushes in S
     force_at: NDArray[np.int64]  # (B + 1,) the same in T
-    # (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads (n), m, s_x,
-    # s_y, J, finger friction, start pose (3), start twist (3) and the parameters of effects. Where any push
-    # came near the table's rim there are n more: by the cells' masses, as far as loads shift with them.
+    # (K, S, 3, P) derivatives, empty unless requested. Reduced columns: friction loads (n), m, s_x, s_y, J,
+    # finger friction, start pose (3), start twist (3) and the effects' parameters. If any push came near the
+    # table's rim, n more follow: the cell masses, as far as they shift the loads.
     d_poses: FloatArray
     d_forces: FloatArray  # (K, T, 2, P) the same for the forces
     # (K, B) time from the push's start at which the object first tips over the rim, s; infinite where it does
-    # not, or where no table is known. Poses after that are not to be trusted.
+    # not, or without a table. Later poses are not to be trusted.
     tips: FloatArray
     # (K, B) whether the object came so near the rim that cells may have been beyond it
     reached: NDArray[np.bool_]
@@ -89,19 +89,19 @@ class Rollouts:
         return self.d_poses[:, self.pose_at[push] : self.pose_at[push + 1]]
 
     def d_forces_of(self, push: int) -> FloatArray:
-        """(K, T_b, 2, P) the same of the forces."""
+        """(K, T_b, 2, P) derivatives of the forces of one push."""
         return self.d_forces[:, self.force_at[push] : self.force_at[push + 1]]
 
 
 class RolloutError(ArithmeticError):
-    """A step's convex problem was not solved to its tolerance."""
+    """A step's convex problem was not solved to tolerance."""
 
 
 class Slider:
     """The cell-grid model of one object under one finger, with or without effects.
 
-    Maps carry the parameters of the effects; without any, all effects vanish. Start poses are those that the
-    tracker reports, as the poses of the results are: a tracker that is off or late is an effect too.
+    Maps carry the parameters of the effects; maps without them switch all effects off. Start poses and
+    resulting poses are those that the tracker reports, since a tracker that is off or late is an effect too.
 
     Args:
         grid: cells and outline.
@@ -109,15 +109,15 @@ class Slider:
         gravity: m/s².
         smoothing: see `Smoothing`.
         effects: in the order of the columns of `Maps.effects`.
-        table: the table's top. Cells beyond its rim carry nothing, and the others carry all, see
-            `support.py`; without one all cells are supported wherever they are.
+        table: the table top. Cells beyond its rim carry no load and the others carry all of it, see
+            `support.py`. Without a table every cell is supported everywhere.
 
     Attributes:
-        program: compiled formulas of the effects, None without any.
+        program: compiled formulas of the effects, None if there are none.
 
     Raises:
         EffectError: a formula cannot be used.
-        ValueError: a number that is not positive, or a table without the measure that its shape needs.
+        ValueError: a number is not positive, or the table lacks a dimension that its shape needs.
 
     Example:
         >>> import numpy as np
@@ -159,7 +159,7 @@ class Slider:
         self._top = None if table is None else _top_of(table)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickled without its machine code, whose addresses mean nothing in another process."""
+        """Pickle without the machine code, whose addresses mean nothing in another process."""
         return Slider, (
             self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table,
         )  # fmt: skip
@@ -172,17 +172,16 @@ class Slider:
 
     @property
     def columns(self) -> int:
-        """P: number of reduced parameters a rollout is differentiated by away from the table's rim, the
-        effects' own last."""
+        """P: number of reduced columns away from the table's rim; the effects' parameters come last."""
         return len(self.grid) + EXTRA_COLUMNS + len(self.nulls)
 
     @cached_property
     def nulls(self) -> FloatArray:
-        """(…,) parameters of the effects at which they vanish."""
+        """(…,) parameter values at which the effects vanish."""
         return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
 
     def inertia(self, mass: FloatArray) -> FloatArray:
-        """(…, 4) m, s_x, s_y, J of mass maps (…, n), with I_i = m_i w²/6 as in the paper."""
+        """(…, 4) m, s_x, s_y, J of mass maps (…, n); each cell has I_i = m_i w²/6, as in the paper."""
         return mass @ self.inertia_basis
 
     @cached_property
@@ -193,9 +192,9 @@ class Slider:
         return np.column_stack([np.ones(len(r)), r, second])
 
     def loads(self, maps: Maps, poses: FloatArray) -> FloatArray:
-        """(K, G, n) normal forces N_i between cells and table, N, where objects lie at poses (G, 3), world.
+        """(K, G, n) normal forces N_i between cells and table, N, for objects at world poses (G, 3).
 
-        Without a table each cell carries its weight.
+        Without a table each cell carries its own weight.
         """
         poses = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
         factors = np.ones((len(maps), len(poses), len(self.grid)))
@@ -204,19 +203,19 @@ class Slider:
         return self.gravity * maps.mass[:, None] * factors
 
     def map_columns(self, maps: Maps, d_reduced: FloatArray) -> FloatArray:
-        """Turn derivatives by reduced columns (K, …, P or P + n) into derivatives by the maps.
+        """Convert derivatives from reduced columns (K, …, P or P + n) to the columns of the maps.
 
-        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c + what the loads'
-        shift adds, where there is one, and  d/dmu_i = m_i g d/df_i.
+        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c, plus the term of
+        shifting loads if there is one, and  d/dmu_i = m_i g d/df_i.
 
         Returns:
-            (K, …, 2n + 7 + …) by mass (n), mu (n), finger friction, start pose (3), start twist (3) and the
-            parameters of the effects.
+            (K, …, 2n + 7 + …) derivatives with respect to mass (n), mu (n), finger friction, start pose (3),
+            start twist (3) and the effects' parameters.
         """
         return self._map_columns(maps, d_reduced[..., : self.columns], d_reduced[..., self.columns :])
 
     def _map_columns(self, maps: Maps, d_reduced: FloatArray, by_shift: FloatArray) -> FloatArray:
-        """The same; what the masses do through the loads' shift (K, …, n) stands apart, or has no columns."""
+        """Do the same with the masses' effect through shifting loads apart: (K, …, n), or no columns."""
         n = len(self.grid)
         shape = (len(maps),) + (1,) * (d_reduced.ndim - 2) + (n,)
         by_load = d_reduced[..., :n]
@@ -242,14 +241,14 @@ class Slider:
         Args:
             maps: K models.
             pushes: B pushes.
-            sensitivities: also differentiate by the reduced columns.
+            sensitivities: whether to differentiate with respect to the reduced columns.
             start_poses: (K, B, 3) instead of the pushes' own starts.
             start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
-            table_poses: (K, B, 3) where the world in which the table is given lies in that of the pushes, for
-                each model and push; the two are one without.
+            table_poses: (K, B, 3) pose of the table's world frame in that of the pushes, for each model and
+                push; by default the two frames coincide.
 
         Raises:
-            ValueError: maps of another grid, or table poses of another shape.
+            ValueError: maps for a different grid, or table poses of the wrong shape.
             RolloutError: a step was not solved; names the model and the push.
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
@@ -265,7 +264,7 @@ class Slider:
         return _finished(joined, results)
 
     def _tables(self, poses: FloatArray, shape: tuple[int, ...]) -> FloatArray | None:
-        """(K, B, 7) tables at some poses of their world (K, B, 3), as kernels take them."""
+        """(K, B, 7) tables, as kernels take them, with their world frame at poses (K, B, 3)."""
         if np.shape(poses) != shape or not np.isfinite(poses).all():
             raise ValueError(
                 f"rollout: table_poses must be finite and of shape {shape}, got {np.shape(poses)}"
@@ -278,7 +277,7 @@ class Slider:
         return tables
 
     def _effect_values(self, maps: Maps) -> FloatArray:
-        """(K, …) parameters of the effects, of maps that are checked."""
+        """(K, …) parameters of the effects; checks that the maps match them."""
         values, nulls = maps.effects, self.nulls
         if values.shape[1] == 0:
             return np.repeat(nulls[None], len(maps), axis=0)
@@ -299,7 +298,7 @@ class Slider:
         rim: int,
         masses: int,
     ) -> Results:
-        """Simulate with effects; `order` as in `Push`, `tables` as for kernels, sizes as in
+        """Simulate with effects; `order` as in `Push`, `tables` as kernels take them, sizes as in
         `empty_results`."""
         values = np.ascontiguousarray(self._effect_values(maps))
         sensors = Sensors.of(program, values)
@@ -314,7 +313,7 @@ class Slider:
         return sensors.reported(results, true, joined, starts, len(self.grid))
 
     def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
-        """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
+        """(B, CONSTANTS) for pushes with steps h (B,) and indices `order` (B,); time is 0."""
         centers = self.grid.centers
         centroid = centers.mean(axis=0)
         arms = centers - centroid
@@ -327,7 +326,7 @@ class Slider:
         return result
 
     def _reduced(self, maps: Maps) -> tuple[FloatArray, ...]:
-        """Fields of `ReducedMaps`, of maps that are checked."""
+        """Fields of `ReducedMaps`; checks that the maps fit the grid."""
         if maps.mass.shape[1] != len(self.grid):
             raise ValueError(f"maps have {maps.mass.shape[1]} cells, the grid has {len(self.grid)}")
         load = np.ascontiguousarray(maps.mass * maps.mu * self.gravity)
@@ -338,7 +337,7 @@ class Slider:
 
 
 def _top_of(table: Table) -> FloatArray:
-    """(1, 1, 7) centre, radius, half the sides, cosine and sine of a table, see `Rim.top`."""
+    """(1, 1, 7) centre, radius, half sides, cosine and sine of a table, see `Rim.top`."""
     corners = corners_of(table)  # which checks the measures
     if len(corners) == 0:
         return np.array([[[*table.center, float(table.radius or 0.0), 0.0, 0.0, 1.0, 0.0]]])
@@ -346,10 +345,10 @@ def _top_of(table: Table) -> FloatArray:
 
 
 def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
-    """What a kernel filled in, as `Rollouts`.
+    """`Rollouts` from the results that a kernel filled in.
 
     Raises:
-        RolloutError: a step was not solved; names the model and the push. Or a derivative is not finite.
+        RolloutError: a step was not solved (names the model and the push), or a derivative is not finite.
     """
     poses, forces, end = results.poses, results.forces, results.end
     d_poses, d_forces, rim = results.d_poses, results.d_forces, results.rim
@@ -365,7 +364,7 @@ def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
         d_poses = np.concatenate([d_poses, results.mass_poses], axis=-1)
         d_forces = np.concatenate([d_forces, results.mass_forces], axis=-1)
     if not (np.isfinite(d_poses).all() and np.isfinite(d_forces).all()):
-        raise RolloutError("a derivative is not finite, as where an effect's formula has none")
+        raise RolloutError("a derivative is not finite; an effect's formula may have none there")
     evaluations = end[..., 6].astype(np.int64)
     at = joined.sample_at, joined.force_at
     return Rollouts(poses, forces, end[..., :6], evaluations, *at, d_poses, d_forces, tips, reached)

@@ -1,7 +1,7 @@
-"""What tracker and force sensor report of a true motion, as the effects in a model say, with derivatives.
+"""Reports of tracker and force sensor for a true motion, according to the effects in a model.
 
-The tracker's delay is the kernel's business: it knows every pose within a step. All else is done here after
-a rollout. A force that is reported late is taken between the means of the two steps about its time.
+The kernel handles the tracker's delay, since it knows every pose within a step. The rest is done here after a
+rollout, with derivatives. A late force is interpolated between the means of the two steps around its time.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED
 
 @dataclass(frozen=True, eq=False)
 class TrueStarts:
-    """Where objects truly start, in K models of B pushes with P parameters of effects."""
+    """True start poses in K models of B pushes with P parameters of effects."""
 
     poses: FloatArray  # (K, B, 3)
-    by_report: FloatArray  # (K, B, 3, 3) derivatives by the reported ones
-    by_effect: FloatArray  # (K, B, 3, P) derivatives by the parameters
+    by_report: FloatArray  # (K, B, 3, 3) derivatives with respect to the reported start poses
+    by_effect: FloatArray  # (K, B, 3, P) derivatives with respect to the parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Sensors:
 
     program: Program
     values: FloatArray  # (K, P) parameters of the effects
-    # (K,) of the tracker and of the force, s; (K, P) their derivatives
+    # (K,) delays of the tracker and of the force, s; (K, P) their derivatives
     delays: FloatArray
     delay_slopes: FloatArray
     force_delays: FloatArray
@@ -41,13 +41,13 @@ class Sensors:
 
     @classmethod
     def of(cls, program: Program, values: FloatArray) -> Sensors:
-        """Those of a program's effects with parameters (K, P)."""
+        """The sensors described by a program's effects with parameters (K, P)."""
         return cls(program, values, *_delays(program.delay, values), *_delays(program.force_delay, values))
 
     def true_starts(self, reported: FloatArray) -> TrueStarts:
-        """Where objects are that the tracker reports at poses (K, B, 3).
+        """True poses of objects that the tracker reports at poses (K, B, 3).
 
-        The formulas give the report of a true pose; Newton's method inverts them.
+        The formulas map a true pose to its report; Newton's method inverts them.
         """
         K, B, _ = reported.shape
         P = self.values.shape[1]
@@ -67,7 +67,7 @@ class Sensors:
         return TrueStarts(true, by_report, by_effect)
 
     def with_steps_before(self, joined: JoinedPushes) -> JoinedPushes:
-        """The pushes with all steps whose force is needed where the sensor reports forces late."""
+        """The pushes with every step whose force is needed if the sensor reports forces late."""
         if self.program.force_delay is None:
             return joined
         steps, at = [], [0]
@@ -80,14 +80,13 @@ class Sensors:
     def reported(
         self, results: Results, true: JoinedPushes, joined: JoinedPushes, starts: TrueStarts, cells: int
     ) -> Results:
-        """Turn true poses and forces into reported ones, and derivatives by true starts into those by
-        reported ones.
+        """Convert true poses and forces into reported ones, with derivatives for reported starts.
 
         Args:
             results: of a rollout; its arrays are changed.
-            true: what was rolled out.
-            joined: what was asked for.
-            starts: of `true`.
+            true: the pushes that were simulated.
+            joined: the pushes that were requested.
+            starts: true starts of `true`.
             cells: n.
         """
         P = self.values.shape[1]
@@ -135,14 +134,13 @@ class Sensors:
             by_mass[...] = by_force @ by_mass
 
     def _place(self, k: int, b: int, joined: JoinedPushes) -> tuple[FloatArray, int]:
-        """(T,) of which steps, in fractions, the forces are that model k reports of push b; and the number
-        of its steps."""
+        """(T,) fractional steps whose forces model k reports in push b, and the push's number of steps."""
         wanted = joined.force_step[joined.force_at[b] : joined.force_at[b + 1]]
         steps = int(joined.tip_at[b + 1] - joined.tip_at[b]) - 1
         return wanted - self.force_delays[k] / joined.h[b], steps
 
     def _late(self, results: Results, true: JoinedPushes, joined: JoinedPushes) -> Results:
-        """Forces at the times asked for, from those of the steps about the times that they are of."""
+        """Reported forces at the requested times, interpolated between the forces of steps."""
         names = ("forces", "d_forces", "mass_forces")
         if results.mass_forces.shape[-1]:
             clear_unreached(results.mass_forces, results.rim, true.force_at, FIRST_FORCE)
@@ -177,10 +175,10 @@ def _delays(delay: Delay | None, values: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _about(place: FloatArray, steps: int) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Steps (3, T) at or before each place (T,), after it and before it; the share of the one after; and what
-    the difference of the last two has to be multiplied by for the slope by the place.
+    """Steps (3, T) at or before each place (T,), after it and before it, with weights for interpolation.
 
-    Beyond the ends of the push its first or last force holds.
+    Also returns the share of the step after, and the factor that turns the difference of the last two into
+    the slope with respect to the place. Beyond its ends a push keeps its first or last force.
     """
     held = np.clip(place, 0.0, steps - 1)
     at = np.floor(held).astype(np.int64)
@@ -190,7 +188,7 @@ def _about(place: FloatArray, steps: int) -> tuple[NDArray[np.int64], FloatArray
 
 
 def _by_reported_starts(results: Results, joined: JoinedPushes, starts: TrueStarts, first: int) -> None:
-    """Turn derivatives by the true start, from column `first` on, into those by the reported one."""
+    """Convert derivatives with respect to the true start, from column `first` on, to the reported start."""
     P = starts.by_effect.shape[-1]
     columns = slice(first, first + 3)
     for b in range(len(joined.h)):
@@ -202,13 +200,13 @@ def _by_reported_starts(results: Results, joined: JoinedPushes, starts: TrueStar
 
 
 def clear_unreached(d: FloatArray, rim: FloatArray, at: NDArray[np.int64], first: int) -> None:
-    """Fill in the zeros of derivatives by masses (K, S, …) that the kernel left out, before the rim was near.
+    """Set derivatives with respect to masses (K, S, …) to zero where the kernel wrote none, far from the rim.
 
     Args:
-        d: derivatives.
+        d: derivatives, changed in place.
         rim: (K, B, RIM_RESULTS).
         at: (B + 1,) offsets of the pushes in S.
-        first: entry of `rim` that holds the first row of a push that the kernel wrote.
+        first: entry of `rim` with the first row of a push that the kernel wrote.
     """
     reached, begun = rim[..., REACHED] > 0, rim[..., first].astype(np.int64)
     for k, b in np.ndindex(*reached.shape):

@@ -1,12 +1,12 @@
-"""Direct derivatives of a step that was taken: of its gradient and of the finger's impulse, v⁺ being held.
+"""Direct derivatives of a solved step: of its gradient and of the finger's impulse, at fixed v⁺.
 
 By the implicit function theorem, where the gradient g(v⁺, p) of the step's function vanishes,
-dv⁺/dp = -H⁻¹ ∂g/∂p; `blocks.py` carries that on. Where a contact is at the edge between sticking, sliding and
-apart, derivatives are those of the side on which the solution was found (one-sided).
+dv⁺/dp = -H⁻¹ ∂g/∂p; `blocks.py` carries that on. If a contact is on the border between sticking, sliding and
+separation, the derivatives are one-sided: those of the side on which the solution was found.
 
 A step depends on the state before it, the memory of effects, the loads, and other parameters. For each load
-f_i the gradient's derivative is h times φ_i's own gradient, and what the contact's stiffness does, which
-grows with Σ f.
+f_i the derivative of the gradient is h times the gradient of φ_i, plus the effect of the contact's stiffness,
+which grows with Σ f.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from slipmap.models.physics.newton import Minimum
 from slipmap.models.physics.step import EXTRA_COLUMNS, Applied, Frame, Way
 
 MU = INERTIA
-"""Place of the finger's friction among the parameters after the loads."""
+"""Index of the finger's friction among the parameters after the loads."""
 
 
 class Taken(NamedTuple):
-    """A step that was taken; attributes as in `Step`, and"""
+    """A solved step; attributes without a comment as in `Step`."""
 
     v: tuple[float, float, float]
     h: float
@@ -47,10 +47,10 @@ class Taken(NamedTuple):
     quarter: Turn
     first: Contact
     second: Contact
-    new: tuple[float, float, float]  # twist v⁺ after it
+    new: tuple[float, float, float]  # twist v⁺ after the step
     minimum: Minimum  # see `Solution`
     free: tuple[float, float, float]  # momentum of the free motion
-    applied: Applied  # given forces of the push
+    applied: Applied  # applied forces of the push
     impulse: tuple[float, float]  # of the finger on the object, middle frame, N s
     way: Way  # see `Way`
     evaluations: int  # see `Solution`
@@ -59,22 +59,22 @@ class Taken(NamedTuple):
 class Slopes(NamedTuple):
     """Direct derivatives: three rows of the gradient, then two of the impulse (N s, middle frame)."""
 
-    # (5, 6 + E + 2) by the state before the step, by the E entries of memory, by the compliance of the
-    # finger, and by the sum of loads through the contact's stiffness
+    # (5, 6 + E + 2) with respect to the state before the step, the E entries of memory, the compliance of the
+    # finger, and the sum of loads through the contact's stiffness
     state: NDArray[np.float64]
-    other: NDArray[np.float64]  # (5, X) by the parameters after the loads
-    twist: NDArray[np.float64]  # (2, 3) of the impulse by v⁺
+    other: NDArray[np.float64]  # (5, X) with respect to the parameters after the loads
+    twist: NDArray[np.float64]  # (2, 3) of the impulse with respect to v⁺
 
 
 @compiled()
 def no_slopes(memory, others):  # type: ignore[no-untyped-def]
-    """`Slopes` of zeros, with E entries of memory and room for so many parameters after the loads."""
+    """`Slopes` of zeros, for E = `memory` and X = `others`."""
     return Slopes(np.zeros((5, STATE + memory + 2)), np.zeros((5, others)), np.zeros((2, 3)))
 
 
 @compiled(forceinline=True)
 def contact_at(taken, k):  # type: ignore[no-untyped-def]
-    """`Contact` k, 0 or 1, of a `Taken` step, and the `Impulse` there, without state where it is absent."""
+    """`Contact` k, 0 or 1, of a `Taken` step, and its `Impulse`; an absent contact is in state SEPARATE."""
     return (taken.first, taken.minimum.first) if k == 0 else (taken.second, taken.minimum.second)
 
 
@@ -91,14 +91,14 @@ def finger_impulse(first, second, minimum):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def set_step_slopes(taken, load_sum, slopes):  # type: ignore[no-untyped-def]
-    """Set the `Slopes` of a `Taken` step with a rigid finger, and without what formulas do."""
+    """Set the `Slopes` of a `Taken` step with a rigid finger and no effects."""
     state, other, twist = slopes
     for a in range(5):
         for k in range(state.shape[1]):
             state[a, k] = 0.0
         other[a, MU] = 0.0
     _set_free_motion(taken, state, other)
-    # Given forces keep their direction.
+    # Applied forces keep their direction in the world.
     applied = taken.applied
     for a, lever in enumerate((applied.y, -applied.x, applied.turning)):
         state[a, 2] -= lever
@@ -112,7 +112,7 @@ def set_step_slopes(taken, load_sum, slopes):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _set_free_motion(taken, state, other):  # type: ignore[no-untyped-def]
-    """Momentum of v⁺ less that of the free motion: linear in the inertia, turned by -h omega."""
+    """Set the slopes of v⁺'s momentum minus the free motion's: linear in the inertia, turned by -h omega."""
     v, new, h, quarter = taken.v, taken.new, taken.h, taken.quarter
     m, sx, sy, J = taken.inertia
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
@@ -150,13 +150,13 @@ def _set_free_motion(taken, state, other):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _add_contact(taken, k, load_sum, state, other, twist):  # type: ignore[no-untyped-def]
-    """Add the part of contact k, whose impulse grows with the sum of loads."""
+    """Add the slopes of contact k, whose impulse grows with the sum of loads."""
     contact, impulse = contact_at(taken, k)
     h, v, new, cone, quarter, frame = taken.h, taken.v, taken.new, taken.cone, taken.quarter, taken.frame
     y, x = contact.y, contact.x
     cos, sin = frame.cos, frame.sin
     vfx, vfy = frame.speed_x, frame.speed_y
-    # To its predicted origin the frame moved by way (w_x, w_y), the last twist's velocity seen from it.
+    # The frame moved to its predicted origin by way (w_x, w_y), the last twist's velocity in that frame.
     way = 0.5 * h * quarter.sinc
     wx, wy = turned(quarter.cos, -quarter.sin, v[0], v[1])
     stretch = 0.125 * h * h * quarter.sinc_slope
@@ -188,7 +188,7 @@ def _add_contact(taken, k, load_sum, state, other, twist):  # type: ignore[no-un
 
 @compiled(forceinline=True)
 def _impulse_change(contact, impulse, cone, y_t, dyn, dyt, dratio, dmu):  # type: ignore[no-untyped-def]
-    """Change of γ_n and γ_t by that of the springs' impulses, of R_t / R_n and of mu; the state is kept."""
+    """Change of γ_n and γ_t with the springs' impulses, R_t / R_n and mu, in an unchanged state."""
     if impulse.state == SEPARATE:
         return 0.0, 0.0
     if impulse.state == STICK:
@@ -203,7 +203,7 @@ def _impulse_change(contact, impulse, cone, y_t, dyn, dyt, dratio, dmu):  # type
 
 @compiled(forceinline=True)
 def _add_impulse(target, j, contact, dgn, dgt):  # type: ignore[no-untyped-def]
-    """Add to column j of (5, …) slopes a change of a contact's γ_n and γ_t."""
+    """Add a change of a contact's γ_n and γ_t to column j of slopes (5, …)."""
     dfx = -contact.nx * dgn - contact.ny * dgt
     dfy = contact.nx * dgt - contact.ny * dgn
     target[0, j] -= dfx
@@ -215,15 +215,15 @@ def _add_impulse(target, j, contact, dgn, dgt):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract", "nnan", "nsz"})
 def _add_change(target, j, k, taken, place, speed, spring, twist):  # type: ignore[no-untyped-def]
-    """Add what follows at contact k from four changes (x, y), all in the middle frame.
+    """Add the effect at contact k of four changes (x, y), all in the middle frame.
 
     Args:
-        target, j: (5, …) slopes and the column of them that is added to.
+        target, j: slopes (5, …) and the column to add to.
         k: 0 or 1.
         taken: `Taken`.
-        place, speed: change of the finger's place in the middle of the step, and of its velocity.
-        spring: of the speed at which a bent finger would straighten.
-        twist: of the last twist's velocity at the contact.
+        place, speed: changes of the finger's position at mid-step, and of its velocity.
+        spring: change of the velocity with which a bent finger would straighten.
+        twist: change of the last twist's velocity at the contact.
     """
     v, new, h, cone, frame = taken.v, taken.new, taken.h, taken.cone, taken.frame
     contact, impulse = contact_at(taken, k)
@@ -240,7 +240,7 @@ def _add_change(target, j, k, taken, place, speed, spring, twist):  # type: igno
     bx, by = frame.spring_x, frame.spring_y
     slip_x = vfx + bx - new[0] + new[2] * y
     slip_y = vfy + by - new[1] - new[2] * x
-    # Half of the velocity with which the gap was closing before the step.
+    # Half the velocity with which the gap was closing before the step.
     half_x, half_y = 0.5 * (v[0] - v[2] * y - vfx), 0.5 * (v[1] + v[2] * x - vfy)
     along = tx * dpx + ty * dpy
     turn, slide = contact.turn * along, contact.slide * along
@@ -269,11 +269,11 @@ def _add_change(target, j, k, taken, place, speed, spring, twist):  # type: igno
 
 @compiled()
 def add_compliance(taken, last, stick_speed, load_sum, state):  # type: ignore[no-untyped-def]
-    """Add what a finger that bends does, and set the slopes by the sum of loads anew.
+    """Add the slopes of a bending finger, and recompute those with respect to the sum of loads.
 
-    With 1/R_n = h²/(give/s + C), s the contact's stiffening by damping, and 1/R_t = h²/(h creep + C), where
-    give and creep = stick_speed / Σ f fall with the sum of loads. Bent by the last force (world, N), with
-    which memory begins, the finger stands C · force off its record and would straighten within the step.
+    1/R_n = h²/(give/s + C), with the contact's stiffening s by damping, and 1/R_t = h²/(h creep + C), where
+    give and creep = stick_speed / Σ f fall with the sum of loads. The last force (world, N), the first entry
+    of memory, bends the finger by C · force off its recorded place, and it would straighten within the step.
     """
     h, cone, frame, new = taken.h, taken.cone, taken.frame, taken.new
     by_compliance, by_sum = state.shape[1] - 2, state.shape[1] - 1
@@ -306,7 +306,7 @@ def add_compliance(taken, last, stick_speed, load_sum, state):  # type: ignore[n
 
 @compiled(forceinline=True)
 def set_body_slopes(G, body, new, free, dout, h):  # type: ignore[no-untyped-def]
-    """Set G (3, Y), the gradient's by what formulas are evaluated at, to that of wrench and inertia factor.
+    """Set G (3, Y), the gradient's derivative with respect to y, to the part of wrench and inertia factor.
 
     `body` is m, s_x, s_y, J without the inertia factor, `free` the momentum of the free motion.
     """
@@ -324,7 +324,7 @@ def set_body_slopes(G, body, new, free, dout, h):  # type: ignore[no-untyped-def
 def blade_slopes(blades, dblades, v, eps2, h, G):  # type: ignore[no-untyped-def]
     """Add to G the derivative of Σ_k h F w/φ b, with w = b·v and φ = sqrt(w² + ε²).
 
-    Blades (k, 4) are F and b, dblades (4 k, Y) their derivatives, v is the twist after the step.
+    Blades (k, 4) hold F and b, dblades (4 k, Y) their derivatives; v is the twist after the step.
     """
     for k in range(blades.shape[0]):
         force = blades[k, 0]
@@ -342,10 +342,9 @@ def blade_slopes(blades, dblades, v, eps2, h, G):  # type: ignore[no-untyped-def
 
 @compiled()
 def add_formula_slopes(slopes, G, dout, kappa):  # type: ignore[no-untyped-def]
-    """Add to `slopes` what formulas do to a step with the inertia factor kappa.
+    """Add to `slopes` the contribution of formulas to a step with the inertia factor kappa.
 
-    G (3, Y) is the derivative of the gradient by what they are evaluated at, dout (…, Y) that of the body's
-    formulas.
+    G (3, Y) and dout (…, Y) are the derivatives of the gradient and of the body's outputs with respect to y.
     """
     known = slopes.state.shape[1] - 2
     for a in range(5):
@@ -366,10 +365,10 @@ def add_formula_slopes(slopes, G, dout, kappa):  # type: ignore[no-untyped-def]
 
 @compiled()
 def set_input_slopes(taken, row, at, other):  # type: ignore[no-untyped-def]
-    """Set the columns of what drives a step, from `at` on: given force (world, N), its point (object frame,
-    m), torque (N m), finger before and after the step (world, m).
+    """Set the columns of a step's drive, from `at` on.
 
-    `row` (5,) holds the first three.
+    They are the applied force (world, N), its point (object frame, m), torque (N m), and the finger before
+    and after the step (world, m); `row` (5,) holds the first three.
     """
     h, c, s, applied = taken.h, taken.frame.cos, taken.frame.sin, taken.applied
     px, py = row[2], row[3]

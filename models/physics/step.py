@@ -5,17 +5,17 @@ Over a step of length h the object's twist v (object frame, at the frame's origi
     v⁺ = argmin  ½ (v - v*)ᵀ M (v - v*)  +  h Σ_i f_i φ_i(v)  +  ℓ_contact(v)
 
 with the free motion v*, the friction loads f_i = mu_i N_i and norms φ_i of `newton.py`, and the contact of
-`contact.py`. The masses enter through total mass m, first moment s = Σ m_i r_i and second moment
-J = Σ m_i (|r_i|² + w²/6) alone: the rigid reduction of the paper's 3n equations.
+`contact.py`. The masses enter only through the total mass m, the first moment s = Σ m_i r_i and the second
+moment J = Σ m_i (|r_i|² + w²/6): the rigid reduction of the paper's 3n equations.
 
-Everything is written in a frame that moves with the object and is taken at the middle of the step, predicted
-from the last twist. Poses move along the exact screw motion of v⁺, so neither the choice of the world frame
-nor that of the object frame changes a trajectory.
+Everything is written in a frame that moves with the object, at the middle of the step as predicted from the
+last twist. Poses move along the exact screw motion of v⁺, so neither the choice of the world frame nor that
+of the object frame changes a trajectory.
 
-The order in which all of this is done stands in `kernel.py`; derivatives are in `slopes.py`.
+`kernel.py` holds the sequence of these computations, `slopes.py` the derivatives.
 
-The last bits of results depend on the order of fields and arguments here: by it the compiler sorts the two
-products of a sum, of which one is rounded and the other fused with the addition.
+The last bits of results depend on the order of fields and arguments here: the compiler uses it to order the
+two products of a sum, one of which is rounded and the other fused with the addition.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ from slipmap.models.physics.newton import (
 
 INERTIA_COLUMNS = 4
 EXTRA_COLUMNS = INERTIA_COLUMNS + 1 + 6
-"""Columns after the n loads: inertia, finger friction, start."""
+"""Number of columns after the n loads: inertia, finger friction, start."""
 
 MAX_EVALUATIONS = 60
 
-# Gaps larger than this, and than what the step can close, are left out of the step, m.
+# A step ignores gaps that exceed what it can close by more than this, m.
 _CONTACT_MARGIN = 1e-3
-# Newton stops when the error left is below this speed, m/s, rotation counted at the object's radius.
+# Newton stops when the remaining error is below this speed, m/s, rotation counted at the object's radius.
 _VELOCITY_TOLERANCE = 1e-14
-# Speeds below this are zero, m/s: subnormal numbers slow a processor down a hundredfold.
+# Speeds below this are set to zero, m/s: subnormal numbers slow a processor down a hundredfold.
 _REST = 1e-60
-# Relative error of the Hessian that the derivatives may inherit.
+# Relative error allowed in the Hessian from which derivatives follow.
 _HESSIAN_TOLERANCE = 1e-8
 
 
 class Frame(NamedTuple):
-    """Middle frame of a step, in which its problem is written, and the finger seen from it."""
+    """Middle frame of a step, in which its problem is written, with the finger in that frame."""
 
     # cos, sin: of its angle in the world
     cos: float
@@ -68,49 +68,49 @@ class Frame(NamedTuple):
     # speed_x, speed_y: velocity of the finger, m/s
     speed_x: float
     speed_y: float
-    # spring_x, spring_y: speed at which a finger that bends would straighten within the step if nothing held
-    # it, m/s; 0 for a rigid one
+    # spring_x, spring_y: velocity with which a free bent finger would straighten within the step, m/s; 0 for
+    # a rigid finger
     spring_x: float
     spring_y: float
 
 
 class Applied(NamedTuple):
-    """Impulse of given forces in a step, middle frame."""
+    """Impulse of applied forces in a step, middle frame."""
 
     # x, y: N s
     x: float
     y: float
-    turning: float  # derivative of its moment about the origin by the object's angle, N m s
+    turning: float  # derivative of its moment about the origin with respect to the object's angle, N m s
     spin: float  # its moment about the origin, N m s
 
 
 class Step(NamedTuple):
-    """One step before it is solved."""
+    """The problem of one step, unsolved."""
 
     cells: Any  # `Cells`, or another class registered with `newton.register_cells`
     inertia: tuple[float, float, float, float]  # m, s_x, s_y, J
     # momentum of the free motion and of applied forces: p_x, p_y and L about the frame's origin
     star: tuple[float, float, float]
-    h: float  # its length, s
-    # first, second: nearest contact and the next
+    h: float  # length of the step, s
+    # first, second: the nearest contact and the next
     first: Contact
     second: Contact
-    contacts: int  # how many of them there are
+    contacts: int  # number of contacts
     cone: Cone  # law of the contacts
     size: float  # radius of the object, m, at which rotation counts
-    v: tuple[float, float, float]  # twist before it, object frame
+    v: tuple[float, float, float]  # twist before the step, object frame
     quarter: Turn  # `Turn` by h omega / 4
-    frame: Frame  # its middle frame
+    frame: Frame  # middle frame
 
 
 class Way(NamedTuple):
-    """How a step moves the pose: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺."""
+    """Motion of the pose in a step: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺."""
 
     quarter: Turn  # `Turn` by h omega/4
     # half_cos, half_sin: of h omega/2
     half_cos: float
     half_sin: float
-    # cos, sin: of the angle half-way
+    # cos, sin: of the angle halfway
     cos: float
     sin: float
     # wx, wy: direction times speed, world
@@ -120,7 +120,7 @@ class Way(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Solved step: the new twist, the last Newton iteration, and how often the cells were summed over.
+    """Solved step: the new twist, the last Newton iteration, and the number of sums over the cells.
 
     `evaluations` is above `MAX_EVALUATIONS` if the minimum was not reached.
     """
@@ -134,7 +134,7 @@ class Solution(NamedTuple):
 def free_momentum(inertia, v, cos, sin):  # type: ignore[no-untyped-def]
     """Momentum p_x, p_y, L of the free motion from the last twist v, about the new frame's origin.
 
-    Seen from that frame the linear part turns by -h omega, whose cosine and sine are given; the spin stays.
+    In that frame the linear part turns by -h omega, with `cos` and `sin` of h omega; the spin stays.
     """
     m, sx, sy, J = inertia
     vx, vy, omega = v
@@ -150,8 +150,8 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
     """`Frame` at the middle of the step, predicted from the last twist.
 
     Args:
-        x, y: object's origin before the step, world, m.
-        cos, sin: of its angle.
+        x, y: the object's origin before the step, world, m.
+        cos, sin: of the object's angle then.
         quarter: `Turn` by h omega / 4.
         v: last twist, object frame.
         h: step, s.
@@ -172,7 +172,7 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
 
 @compiled(forceinline=True)
 def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
-    """The `Frame` of a finger that stands bend_x, bend_y (world, m) off its record and would straighten."""
+    """The `Frame` with a bent finger, bend_x, bend_y (world, m) off its recorded place."""
     x, y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
     return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
 
@@ -193,9 +193,9 @@ def applied_impulse(row, cos, sin, h):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def touching(frame, v, h, common, rows, gain):  # type: ignore[no-untyped-def]
-    """Number of contacts of a step, which are written into rows (MAX_CONTACTS, CONTACT_COLUMNS).
+    """Write the contacts of a step into rows (MAX_CONTACTS, CONTACT_COLUMNS); returns their number.
 
-    `gain` is the most speed, m/s, that applied forces give any point of the object in the step.
+    `gain` is the largest speed, m/s, that applied forces give any point of the object in the step.
     """
     speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, common.size) + gain
     reach = _CONTACT_MARGIN + 2.0 * h * speeds
@@ -207,7 +207,7 @@ def touching(frame, v, h, common, rows, gain):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
-    """`Contact` of row k of `find_contacts`; its gap is counted back from the predicted half step."""
+    """`Contact` from row k of `find_contacts`, with the gap taken back from mid-step to the start."""
     nx, ny, x, y, gap = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4]
     nw = x * ny - y * nx
     tw = x * nx + y * ny
@@ -226,7 +226,7 @@ def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
 def weighted(weights, past):  # type: ignore[no-untyped-def]
     """Guess of the next twist: weighted sum of the last three, the newest first.
 
-    Where a push is smooth it saves Newton's second evaluation.
+    In a smooth push it saves Newton's second evaluation.
     """
     a, b, c = weights
     last, second, third = past
@@ -239,10 +239,10 @@ def weighted(weights, past):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def best_weights(new, past, size):  # type: ignore[no-untyped-def]
-    """Weights of the extrapolation that would have come nearest to `new`; those to use next.
+    """Weights of the extrapolation that would have come nearest to `new`, for the next step.
 
-    The candidates are the polynomials of order 0 to 2 through the last twists. `size` is the object's radius,
-    m, at which rotation counts.
+    The candidates are polynomials of order 0 to 2 through the last twists. `size` is the object's radius, m,
+    at which rotation counts.
     """
     constant = (1.0, 0.0, 0.0)
     linear = (2.0, -1.0, 0.0)
@@ -270,8 +270,8 @@ def _size_of(d, size):  # type: ignore[no-untyped-def]
 def _change_of_hessian(minimum, bend, d, h, size):  # type: ignore[no-untyped-def]
     """Bound on the relative change of the Hessian along d.
 
-    The third derivative of f φ is at most 3/2 f/φ² along any direction of unit speed, and `bend` is the sum
-    of f/φ² over the cells; the trace bounds the inverse Hessian.
+    Along any direction of unit speed the third derivative of f φ is at most 3/2 f/φ². `bend` is the sum of
+    f/φ² over the cells, and the trace bounds the inverse Hessian.
     """
     trace = minimum.xx + minimum.yy + size * size * minimum.ww
     return 1.5 * h * bend * trace * _size_of(d, size)
@@ -281,14 +281,14 @@ def _change_of_hessian(minimum, bend, d, h, size):  # type: ignore[no-untyped-de
 def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
     """`Solution` of a step: the minimum of its function.
 
-    Newton on the smooth part, with the contact kept exact in every iteration (`solve_with_contacts`). Steps
-    that overshoot are left to `_bracketed`. Half the relative change of the Hessian along a Newton step,
-    times that step, bounds the error after it: where that is small, nothing needs to be evaluated there.
+    Newton's method on the smooth part, with exact contact in every iteration (`solve_with_contacts`).
+    `_bracketed` shortens steps that overshoot. Half the relative change of the Hessian along a Newton step,
+    times that step, bounds the error after it: if the bound is small, the end point needs no evaluation.
 
     Args:
         step: `Step`.
         start: guess of the new twist.
-        exact_hessian: whether the inverse Hessian must be that at the solution.
+        exact_hessian: whether the inverse Hessian must be the one at the solution.
     """
     size = step.size
     v = start
@@ -337,11 +337,11 @@ def _slope(step, model, v, d):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _bracketed(step, v, d, slope, high_slope, evaluations, try_rest):  # type: ignore[no-untyped-def]
-    """Point along d, where the full step overshoots, at which the slope has fallen to half.
+    """Point along d at which the slope has fallen to half, for a full step that overshoots.
 
     Along a descent direction the slope of a convex function grows, so the minimum is bracketed. An overshoot
-    is mostly an object coming to rest, where the sum of norms has its one sharp point: rest is tried first,
-    once a step (`try_rest`).
+    usually means that the object comes to rest, the one sharp point of the sum of norms: rest is tried first,
+    once per step (`try_rest`).
 
     Returns:
         The twist, the smooth model there and the bound on its change, and the number of evaluations.
@@ -373,7 +373,7 @@ def _bracketed(step, v, d, slope, high_slope, evaluations, try_rest):  # type: i
 
 @compiled(forceinline=True)
 def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
-    """`Way` of the twist v⁺ from an angle with this cosine and sine."""
+    """`Way` of the twist v⁺, starting at the angle with the given cosine and sine."""
     quarter = turn_by(0.25 * h * new[2])
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
     c, s = joined(cos, sin, half_cos, half_sin)
@@ -383,8 +383,8 @@ def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def way_by_spin(way, h):  # type: ignore[no-untyped-def]
-    """Derivatives by omega of x and y after the step."""
-    # Derivative of sinc(α) = sinc(α/2) cos(α/2) by omega, for α = h omega/2.
+    """Derivatives of x and y after the step with respect to omega."""
+    # Derivative of sinc(α) = sinc(α/2) cos(α/2) with respect to omega, for α = h omega/2.
     slope = way.quarter.sinc_slope * way.quarter.cos - way.quarter.sinc * way.quarter.sin
     slope *= 0.25 * h * h
     bend = 0.5 * h * way.length

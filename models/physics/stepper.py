@@ -1,7 +1,7 @@
-"""The cell-grid model one step at a time, differentiated by all that a step depends on.
+"""The cell-grid model one step at a time, with derivatives with respect to all inputs of a step.
 
-A rollout knows all of its push beforehand. A caller that steps the model from outside, as a simulation does,
-keeps the state itself: pose, twist, the finger's last force and what the effects remember.
+A rollout knows its whole push in advance. A caller that steps the model from outside, such as a simulation,
+keeps the state itself: pose, twist, the finger's last force and the effects' memory.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _NO_DELAY = np.zeros(0)
 
 @dataclass(frozen=True, eq=False)
 class StepModels:
-    """K models as the kernel takes them, so that steps need not check and sum the maps again."""
+    """K models in the form the kernel takes, so that no step checks and sums the maps again."""
 
-    maps: Maps  # with the parameters of all effects
+    maps: Maps  # including the parameters of all effects
     reduced: tuple[FloatArray, ...]  # fields of `ReducedMaps`
 
 
@@ -40,7 +40,7 @@ class Stepper(Slider):
     """A `Slider` that takes single steps of length h.
 
     The state (Z,) of a model is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force
-    (world, N), and the effects' memory. All are the true ones, whatever sensors report.
+    (world, N), and the effects' memory. All are true values, whatever the sensors report.
 
     Args:
         grid: cells and outline.
@@ -86,20 +86,20 @@ class Stepper(Slider):
 
     @property
     def size(self) -> int:
-        """Z: numbers in the state of one model."""
+        """Z: size of one model's state."""
         return AFTER + max(0, self.program.memory - FORCE)
 
     def models(self, maps: Maps) -> StepModels:
         """Prepare K models.
 
         Raises:
-            ValueError: maps of another grid or of other effects, or without friction.
+            ValueError: maps for a different grid or different effects, or without friction.
         """
         maps = Maps(maps.mass, maps.mu, maps.mu_finger, self._effect_values(maps))
         return StepModels(maps, self._reduced(maps))
 
     def start(self, models: StepModels, poses: FloatArray, twists: FloatArray | None = None) -> FloatArray:
-        """(K, Z) states at rest or with twists (K, 3), where the tracker reports `poses` (K, 3) or (3,)."""
+        """(K, Z) states whose tracker reports `poses` (K, 3) or (3,), at rest or with twists (K, 3)."""
         K = len(models.maps)
         reported = np.array(np.broadcast_to(poses, (K, 3)), dtype=float)
         states = np.zeros((K, self.size))
@@ -126,19 +126,19 @@ class Stepper(Slider):
             states: (K, Z).
             wrench: (5,) force (world, N), its point (object frame, m) and a torque (N m), as in `Push`.
             tip: (2, 2) finger centre before and after the step, world, m; NaN for no finger.
-            time: at the begin of the step, from the begin of the push, s.
-            order: place of the push in the experiment, from 0.
+            time: from the start of the push to the start of the step, s.
+            order: index of the push in the experiment, from 0.
             derive: whether to differentiate.
 
         Returns:
-            States after the step (K, Z), and their derivatives (K, Z, C) by mass (n), mu (n), finger
-            friction, pose (3), twist (3), parameters of effects (P), last force and memory (Z - 6), wrench
-            (5), tip before and after (4); C is 0 unless they were asked for.
+            States after the step (K, Z), and their derivatives (K, Z, C) with respect to mass (n), mu (n),
+            finger friction, pose (3), twist (3), the effects' parameters (P), last force and memory (Z - 6),
+            wrench (5), tip before and after (4); C is 0 without `derive`.
 
         Raises:
             RolloutError: a model's step was not solved; names the model.
         """
-        # One layout, so that the kernel is compiled once.
+        # Always the same memory layout, so that the kernel is compiled only once.
         states = np.ascontiguousarray(states, dtype=float)
         wrench, tip = np.ascontiguousarray(wrench, dtype=float), np.ascontiguousarray(tip, dtype=float)
         (K, Z), n = states.shape, len(self.grid)
@@ -158,13 +158,13 @@ class Stepper(Slider):
         return after[:, :Z], self._map_columns(models.maps, jacobian, by_mass) if derive else jacobian
 
     def load(self) -> None:
-        """Load or compile the machine code of a step, so that the first one takes no longer than others."""
+        """Load or compile the machine code of a step, so that the first step is as fast as the others."""
         n = len(self.grid)
         models = self.models(Maps(np.full((1, n), 1.0 / n), np.full((1, n), 0.3), np.full(1, 0.3)))
         self.step(models, self.start(models, np.zeros(3)))
 
     def delay(self, parameters: FloatArray) -> tuple[float, FloatArray]:
-        """The tracker's delay, s, and its derivative (P,) by the effects' parameters (P,)."""
+        """The tracker's delay, s, and its gradient (P,) in the effects' parameters (P,)."""
         if self.program.delay is None:
             return 0.0, np.zeros(self.program.parameters)
         return self.program.delay(parameters)

@@ -1,25 +1,26 @@
-"""Which cells the table carries, and with what load, where part of the object lies beyond the table's rim.
+"""Loads of the cells on the table when part of the object lies beyond the table's rim.
 
-Cells on air carry nothing, and the others carry all. On an elastic foundation that is as stiff under each
-cell as the cell is heavy, a rigid object sinks in by a plane a + b·r, and cell i carries
+Cells beyond the rim carry nothing, and the others carry everything. On an elastic foundation whose stiffness
+under each cell is proportional to the cell's mass, a rigid object sinks in by a plane a + b·r, and cell i
+carries
 
     N_i = m_i g φ_i,    φ_i = s_i max(0, a + b·r_i),    Σ N_i = m g,    Σ N_i r_i = m g r_com,
 
-which are the conditions of the minimum of a convex function of a and b,
+which are the conditions for the minimum of a convex function of a and b,
 
     F = ½ Σ m_i s_i max(0, a + b·r_i)² - m (a + b·r_com) + ½ m (ε_a (a - 1)² + ε_b L² |b|²).
 
-All cells being supported, a = 1, b = 0 and N_i = m_i g. The share s_i of a cell over the table goes smoothly
-from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre to the rim
-and W = sqrt(5/3) w, for which a cell's share has the mean and the variance over d that the area of a square
-has, however it is turned. The shares of both directions are multiplied for a rectangular table; for a round
-one of radius R, d = (R² - ρ²) / 2R at a distance ρ from its middle.
+With all cells supported, a = 1, b = 0 and N_i = m_i g. The share s_i of a cell over the table rises smoothly
+from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre from the
+rim and W = sqrt(5/3) w. With this W a cell's share has the same mean and variance over d as the area of a
+square at any angle. For a rectangular table the shares of both directions are multiplied; for a round one of
+radius R, d = (R² - ρ²) / 2R at a distance ρ from its centre.
 
-Where the supported cells cannot hold the centre of mass, the last term, else far too small to show, lets the
-loads gather on the cells about which the object tips: what is computed stays finite and continuous, but a
-body that tips moves otherwise. When it begins to is on record, see `TIPS`.
+If the supported cells cannot hold the centre of mass, the last term, otherwise too small to show, lets the
+loads gather on the cells about which the object tips. The results stay finite and continuous, but a real
+tipping body moves differently. `TIPS` records when tipping begins.
 
-The loads are those at the begin of a step, so that each step keeps its own convex problem.
+The loads are those at the start of a step, so each step keeps its own convex problem.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ from slipmap.models.physics.kernel_tools import turned
 from slipmap.models.physics.newton import LANES, plain_gradients
 
 BLUR = math.sqrt(5.0 / 3.0)
-"""W / w: over how many cell widths a cell's share goes from 0 to 1."""
+"""W / w: number of cell widths over which a cell's share rises from 0 to 1."""
 
-# ε_a and ε_b: with these a body that tips keeps its weight to a thousandth, and one that stays has moments
-# that are off by less than a millionth.
+# ε_a and ε_b: with these a tipping body keeps its weight to a thousandth, and the moments of a stable one are
+# off by less than a millionth.
 _HOLD_SUM, _HOLD_MOMENTS = 1e-10, 1e-7
-# Share of the weight on cells that are taken to be in touch and are not, or the reverse, at the solution.
+# Share of the weight on cells whose contact is misjudged, tolerated at the solution.
 _TOLERANCE = 1e-10
 _PLAIN_ROUNDS, _ROUNDS = 8, 100
 
@@ -50,25 +51,25 @@ NEAR, TOUCHED, CHANGED = 0, 1, 2
 # Entries of `Rim.found`, and of a result's `rim`.
 TIPS, REACHED, FIRST_POSE, FIRST_FORCE = 0, 1, 2, 3
 RIM_RESULTS = 4
-"""Of a push: time from its start at which the object first tips, s, infinite if never; whether it came near
-the rim at all; the first pose and the first force that were wanted after that."""
+"""Number of entries for a push: time from its start at which the object first tips, s, infinite if never;
+whether it came near the rim; the first sampled pose and the first sampled force after that."""
 
 _FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
 
 
 class Rim(NamedTuple):
-    """The table under one model in one push, and room for what follows from it; N is n, filled up."""
+    """The table under one model in one push, with storage for results; N is n padded to whole lanes."""
 
-    # centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0 for a
-    # rectangle, the sides for a disc
+    # centre (2), radius, half sides (2), m, cosine and sine of the table's angle; the radius is 0 for a
+    # rectangle, the sides are 0 for a disc
     top: tuple[float, float, float, float, float, float, float]
-    # distance of the object's origin from the middle of a round table up to which all cells are wholly
-    # supported however it lies, m; for a rectangular one that distance from the sides, negative
+    # round table: largest distance of the object's origin from its centre at which all cells are wholly
+    # supported at any angle, m; rectangular table: minus the smallest such distance inside the sides
     room: float
     blur: float  # W, m
     scale: float  # L, m
     center: tuple[float, float]  # of mass, object frame, m
-    # rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads with all cells supported, N
+    # rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads when all cells are supported, N
     rx: NDArray[np.float64]
     ry: NDArray[np.float64]
     mass: NDArray[np.float64]
@@ -80,24 +81,24 @@ class Rim(NamedTuple):
     factor: NDArray[np.float64]
     load: NDArray[np.float64]
     plane: NDArray[np.float64]  # (3,) a, b_x, b_y
-    at: NDArray[np.float64]  # (4,) pose that they belong to: x, y, cosine and sine
-    # (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2), and the
-    # inverse of what is left of the others (xx, xy, yy)
+    at: NDArray[np.float64]  # (4,) pose to which these belong: x, y, cosine and sine
+    # (6,) parts of A, the Hessian of F: A_00, the rest of its first row over A_00 (2), and the inverse of the
+    # Schur complement (xx, xy, yy)
     parts: NDArray[np.float64]
-    # (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows of the
-    # Jacobian that hold the cells' centres were written over
+    # (3,) whether cells may be beyond the rim in this step; in this push so far; whether the rows of the
+    # Jacobian that hold the cells' centres were overwritten
     flags: NDArray[np.int64]
     found: NDArray[np.float64]  # (RIM_RESULTS,)
     ones: NDArray[np.float64]  # (N,)
-    # (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no Jacobian, as
-    # all that follow
+    # (3, N) derivatives of the shares with respect to x, y, θ of the object; like all arrays below, without
+    # columns if there is no Jacobian
     by_pose: NDArray[np.float64]
     by_load: NDArray[np.float64]  # (3, N) see `load_gradients`
     # total, moving, pressing: (N,), (N,) and (2, N), see `_weigh`
     total: NDArray[np.float64]
     moving: NDArray[np.float64]
     pressing: NDArray[np.float64]
-    # (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself; zero
+    # (3, 4) change of the gradient with the right-hand sides of a, b_x, b_y, and with the mass itself; zero
     # while no cells are beyond the rim
     lift: NDArray[np.float64]
 
@@ -110,9 +111,9 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
         table: (7,).
         mass: (n,).
         body: m, s_x, s_y, J.
-        cells: with all of them supported.
+        cells: `Cells` with all of them supported.
         cell_width, size: m.
-        derive: whether derivatives will be asked for.
+        derive: whether derivatives are wanted.
     """
     N = cells.rx.shape[0]
     rows, more = np.zeros((6, N)), np.zeros((10, N if derive else 0))
@@ -127,7 +128,7 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
     numbers[0], numbers[3], found[TIPS] = 1.0, math.nan, math.inf
     top = (table[0], table[1], table[2], table[3], table[4], table[5], table[6])
     reach, blur, radius = math.sqrt(reach2), BLUR * cell_width, table[2]
-    # As (R² - ρ²) / 2R is to be W/2 for the farthest cell.
+    # From (R² - ρ²) / 2R = W/2 for the farthest cell.
     room = math.sqrt(max(radius * (radius - blur), 0.0)) - reach if radius > 0.0 else -reach - 0.5 * blur
     center = (body[1] / body[0], body[2] / body[0])
     return Rim(
@@ -139,8 +140,7 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
 
 @compiled(forceinline=True)
 def wholly_on(rim, x, y):  # type: ignore[no-untyped-def]
-    """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it
-    lies."""
+    """Whether all cells of an object with its origin at (x, y), world, are wholly supported at any angle."""
     middle_x, middle_y, radius, half_x, half_y, cos, sin = rim.top
     dx, dy, room = x - middle_x, y - middle_y, rim.room
     if radius > 0.0:
@@ -162,10 +162,10 @@ def _beyond(top, x, y):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _set_shares(top, blur, pose, rx, ry, mass, share, held):  # type: ignore[no-untyped-def]
-    """Set the cells' shares and held masses with the object at a pose: x, y, cosine and sine."""
+    """Set the cells' shares and held masses for an object at a pose: x, y, cosine and sine."""
     middle_x, middle_y, radius, half_x, half_y, table_cos, table_sin = top
     x, y, cos, sin = pose
-    # From here on as seen from the table.
+    # From here on in the table's frame.
     dx, dy = turned(table_cos, -table_sin, x - middle_x, y - middle_y)
     cos, sin = turned(table_cos, -table_sin, cos, sin)
     if radius > 0.0:
@@ -208,7 +208,7 @@ def _moments(held, rx, ry, a, bx, by):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _solved(parts, v0, v1, v2):  # type: ignore[no-untyped-def]
-    """A⁻¹ (v_0, v_1, v_2), by the parts of A."""
+    """A⁻¹ (v_0, v_1, v_2), from the parts of A."""
     q1, q2 = v1 - parts[1] * v0, v2 - parts[2] * v0
     bx, by = parts[3] * q1 + parts[4] * q2, parts[4] * q1 + parts[5] * q2
     return v0 / parts[0] - parts[1] * bx - parts[2] * by, bx, by
@@ -216,7 +216,7 @@ def _solved(parts, v0, v1, v2):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _next_plane(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-untyped-def]
-    """Where F were least if the cells in touch stayed the same: a, b_x, b_y; sets the parts of A."""
+    """Minimum a, b_x, b_y of F if the cells in touch stayed the same; sets the parts of A."""
     m, sx, sy = body[0], body[1], body[2]
     w, wx, wy, wxx, wxy, wyy = _moments(held, rx, ry, plane[0], plane[1], plane[2])
     w += _HOLD_SUM * m
@@ -232,7 +232,7 @@ def _next_plane(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-unt
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _set_loads(rx, ry, share, held, plain, factor, load, plane, new):  # type: ignore[no-untyped-def]
-    """Set factors and loads at a new plane; the weight, over g, on cells that the old one had wrong, kg."""
+    """Set factors and loads at a new plane; returns the mass on cells that the old plane misjudged, kg."""
     a, bx, by = new
     old_a, old_x, old_y = plane[0], plane[1], plane[2]
     wrong = 0.0
@@ -251,7 +251,7 @@ def _set_loads(rx, ry, share, held, plain, factor, load, plane, new):  # type: i
 
 @compiled(fastmath=_FAST)
 def _slope(held, rx, ry, plane, body, hold, d, t):  # type: ignore[no-untyped-def]
-    """Derivative of F along d (3), at the plane and t times d; `hold` is ε_b L² m."""
+    """Derivative of F along d (3), at the plane plus t times d; `hold` is ε_b L² m."""
     m = body[0]
     a, bx, by = plane[0] + t * d[0], plane[1] + t * d[1], plane[2] + t * d[2]
     slope = (
@@ -264,7 +264,7 @@ def _slope(held, rx, ry, plane, body, hold, d, t):  # type: ignore[no-untyped-de
 
 @compiled()
 def _settle(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-untyped-def]
-    """Newton's method with steps that go no farther than to where F is least on their way."""
+    """Newton's method with steps that end at the minimum of F along them at the latest."""
     hold = _HOLD_MOMENTS * body[0] * scale * scale
     for _ in range(_ROUNDS):
         new = _next_plane(held, rx, ry, plane, parts, body, scale)
@@ -287,8 +287,8 @@ def _settle(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-untyped
 def spread_loads(rim, body, x, y, cos, sin):  # type: ignore[no-untyped-def]
     """Set the loads of an object with inertia m, s_x, s_y, J at a pose.
 
-    Newton's method, from the last plane: as F is quadratic while the same cells stay in touch, one round is
-    enough where these are right. An object that has not moved keeps its loads.
+    Uses Newton's method from the last plane. F is quadratic while the same cells stay in touch, so one round
+    suffices if these are right. An object that has not moved keeps its loads.
     """
     rx, ry, share, held, plane, parts, at = rim.rx, rim.ry, rim.share, rim.held, rim.plane, rim.parts, rim.at
     if at[0] == x and at[1] == y and at[2] == cos and at[3] == sin:
@@ -306,10 +306,11 @@ def spread_loads(rim, body, x, y, cos, sin):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def note_tipping(rim, x, y, cos, sin, cell_width, time):  # type: ignore[no-untyped-def]
-    """Keep the time at which the object first tips, after `spread_loads`.
+    """Record the time at which the object first tips; call it after `spread_loads`.
 
-    It does where its centre of mass lies beyond the rim: a table is convex. Over the table it does where the
-    cells in touch miss the centre of mass by more than half a cell, as they can under a concave object.
+    The object tips if its centre of mass lies beyond the rim, since a table is convex. With the centre of
+    mass over the table, it tips if the cells in touch cannot balance it to within half a cell width, which
+    happens with concave objects.
     """
     if rim.found[TIPS] < math.inf:
         return
@@ -324,10 +325,10 @@ def note_tipping(rim, x, y, cos, sin, cell_width, time):  # type: ignore[no-unty
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore[no-untyped-def]
-    """Set the derivatives of the shares by the pose: x, y, cosine and sine."""
+    """Set the derivatives of the shares with respect to x, y, θ at a pose: x, y, cosine and sine."""
     middle_x, middle_y, radius, half_x, half_y, table_cos, table_sin = top
     x, y, cos, sin = pose
-    # From here on as seen from the table.
+    # From here on in the table's frame.
     dx, dy = turned(table_cos, -table_sin, x - middle_x, y - middle_y)
     cos, sin = turned(table_cos, -table_sin, cos, sin)
     if radius > 0.0:
@@ -361,14 +362,14 @@ def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore
 
 @compiled(forceinline=True)
 def set_share_slopes(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
-    """Set the derivatives of the shares by the pose."""
+    """Set the derivatives of the shares with respect to the pose."""
     d = rim.by_pose
     _share_slopes(rim.top, rim.blur, (x, y, cos, sin), rim.rx, rim.ry, d[0], d[1], d[2])
 
 
 @compiled(forceinline=True)
 def set_gradients(rim, effects, cells, v):  # type: ignore[no-untyped-def]
-    """Set the derivatives of friction's gradient by the cells' loads at the twist v."""
+    """Set the derivatives of friction's gradient at the twist v with respect to the cells' loads."""
     if effects is None:
         plain_gradients(cells, v, rim.by_load)
     else:
@@ -377,10 +378,9 @@ def set_gradients(rim, effects, cells, v):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _weigh(weight, factor, plain, share, mass, rx, ry, plane, total, moving, pressing):  # type: ignore[no-untyped-def]
-    """Fill (N,) arrays of products: φ_i, f_i p_i and, over the cells in touch, f_i s_i, with weights, and m_i
-    p_i.
+    """Fill arrays (N,) with products, weight_i φ_i into `total` and weight_i f_i p_i into `moving`.
 
-    The third goes into pressing[1], (2, N), the last into pressing[0].
+    pressing[0] gets m_i p_i, pressing[1] gets weight_i f_i s_i of the cells in touch, 0 elsewhere.
     """
     a, bx, by = plane[0], plane[1], plane[2]
     pulled, held = pressing[0], pressing[1]
@@ -396,7 +396,7 @@ def _weigh(weight, factor, plain, share, mass, rx, ry, plane, total, moving, pre
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _first_moments(k, row, rx, ry):  # type: ignore[no-untyped-def]
-    """Σ k_i n_i (1, x, y) for (N,) numbers k and n."""
+    """Σ k_i n_i (1, x_i, y_i), with n_i from `row`."""
     w = wx = wy = 0.0
     for i in range(rx.shape[0]):
         product = k[i] * row[i]
@@ -408,7 +408,7 @@ def _first_moments(k, row, rx, ry):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _by_shares(moving, by_load, by_turn_of):  # type: ignore[no-untyped-def]
-    """Σ k_i n_ai s'_i of a = 0, 1, 2 for (N,) k and s' and (3, N) n."""
+    """Σ k_i n_ai s'_i for a = 0, 1, 2: k from `moving` (N,), n from `by_load` (3, N), s' (N,)."""
     first, second, third = by_load[0], by_load[1], by_load[2]
     x = y = w = 0.0
     for i in range(moving.shape[0]):
@@ -423,7 +423,7 @@ def _by_shares(moving, by_load, by_turn_of):  # type: ignore[no-untyped-def]
 def _add_shift(  # type: ignore[no-untyped-def]
     rx, ry, by_load, by_pose, moving, pressing, parts, plane, hold, h, lift, state
 ):
-    """The sums of `add_share_slopes`."""
+    """Compute the sums of `add_share_slopes`."""
     for a in range(3):
         w, wx, wy = _first_moments(pressing[1], by_load[a], rx, ry)
         m0, m1, m2 = _solved(parts, h * w, h * wx, h * wy)
@@ -438,21 +438,21 @@ def _add_shift(  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
-    """Add to `Slopes.state` what the pose does through the loads; sets `lift` and `total`.
+    """Add the effect of the pose through the loads to `Slopes.state`; sets `lift` and `total`.
 
-    With W = h Σ weight_i f_i s_i n_i (1, r_i)ᵀ over the cells in touch, n_i being the gradient by the load,
-    and p_i = max(0, a + b·r_i), the step's gradient changes with the shares by
+    With W = h Σ weight_i f_i s_i n_i (1, r_i)ᵀ over the cells in touch, n_i the derivative of the gradient
+    with respect to the load, and p_i = max(0, a + b·r_i), the step's gradient changes with the shares by
 
         h Σ weight_i f_i p_i n_i ds_i - W A⁻¹ Σ m_i p_i (1, r_i) ds_i,
 
-    and with the mass of cell i, the friction loads m_i mu_i g being held, by W A⁻¹ ((1 - φ_i) (1, r_i) - e)
-    with e = (ε_a (a - 1), ε_b L² b).
+    and with the mass of cell i, at fixed friction loads m_i mu_i g, by W A⁻¹ ((1 - φ_i) (1, r_i) - e) with
+    e = (ε_a (a - 1), ε_b L² b).
 
     Args:
-        rim: `Rim`, its `by_load` and `by_pose` set.
+        rim: `Rim` with `by_load` and `by_pose` set.
         weight: (N,) factors of effects on the loads.
         h: step, s.
-        state: that of `Slopes`.
+        state: `Slopes.state`.
     """
     rx, ry, plane = rim.rx, rim.ry, rim.plane
     _weigh(
@@ -466,7 +466,7 @@ def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def thin_drag(rim, drag):  # type: ignore[no-untyped-def]
-    """Drag (n,) acts on the supported share of a cell alone."""
+    """Scale drag (n,) by the supported share of each cell."""
     if rim is not None and rim.flags[NEAR] != 0:
         for i in range(drag.shape[0]):
             drag[i] *= rim.share[i]
@@ -474,7 +474,7 @@ def thin_drag(rim, drag):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def add_drag_slopes(rim, drag, by_drag, state):  # type: ignore[no-untyped-def]
-    """Add what the pose does through the drag's shares, and let by_drag (3, n) be by drag on whole cells."""
+    """Add the effect of the pose through the shares of drag, and scale by_drag (3, n) by the shares."""
     if rim is not None and rim.flags[NEAR] != 0:
         for a in range(3):
             for i in range(drag.shape[0]):
@@ -487,7 +487,7 @@ def add_drag_slopes(rim, drag, by_drag, state):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath={"contract"})
 def mass_slopes(rx, ry, factor, lift, block):  # type: ignore[no-untyped-def]
-    """Set three rows (3 * LANES,) to the gradient's derivatives by the masses of cells (LANES,)."""
+    """Set three rows (3 * LANES,) to the gradient's derivatives with respect to cell masses (LANES,)."""
     for a in range(3):
         m0, m1, m2, e = lift[a, 0], lift[a, 1], lift[a, 2], lift[a, 3]
         row = block[a * LANES : (a + 1) * LANES]
@@ -497,7 +497,7 @@ def mass_slopes(rx, ry, factor, lift, block):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def clear_lift(lift):  # type: ignore[no-untyped-def]
-    """Away from the rim masses do not shift loads."""
+    """Set `lift` to zero: away from the rim, masses do not shift loads."""
     for a in range(3):
         for k in range(4):
             lift[a, k] = 0.0

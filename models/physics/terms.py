@@ -1,7 +1,7 @@
-"""What effects and the table's rim change in a step: values before it is solved, and derivatives after it.
+"""Changes of a step by effects and the table's rim: values before it is solved, derivatives after it.
 
-Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`, and its `rim`
-is None, or a `Rim`. So what is absent costs nothing.
+Compilation knows whether there are any: `effects` is None or `Effects`, and `rim` is None or a `Rim`. So what
+is absent costs nothing.
 """
 
 from __future__ import annotations
@@ -83,37 +83,37 @@ class Model(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """Formulas of effects, and room for what they are evaluated at and give, as in `friction.py`."""
+    """Formulas of effects, and storage for their arguments and results, as in `friction.py`."""
 
     addresses: NDArray[np.int64]  # as in `Formulas`
     memory: int  # E
-    # blades, pyramids: how many there are
+    # blades, pyramids: their numbers
     blades: int
     pyramids: int
-    # cells, stretch: whether cells are changed; whether Q is
+    # cells, stretch: whether cells change; whether Q changes
     cells: bool
     stretch: bool
     begin: float  # time before the first step, s
-    y: NDArray[np.float64]  # (Y,) what formulas are evaluated at; it keeps the memory from step to step
+    y: NDArray[np.float64]  # (Y,) arguments of the formulas; it holds the memory from step to step
     c: NDArray[np.float64]  # (CONSTANTS,)
-    # out, dout: (BODY_OUTPUTS + 4 blades, and 1 + 3 pyramids if any,) and (…, Y) of the body
+    # out, dout: (BODY_OUTPUTS + 4 blades, and 1 + 3 pyramids if any,) and (…, Y), outputs of the body
     out: NDArray[np.float64]
     dout: NDArray[np.float64]
     # blade, pyramid: (blades, 4) and (pyramids, 3) parts of `out`
     blade: NDArray[np.float64]
     pyramid: NDArray[np.float64]
-    # factor, drag: (n,) of the cells, or without entries
+    # factor, drag: (n,) of the cells, or empty
     factor: NDArray[np.float64]
     drag: NDArray[np.float64]
-    # qxx, qxy, qyy: (n,) Q of the cells, filled up, or without entries
+    # qxx, qxy, qyy: (n,) Q of the cells, padded, or empty
     qxx: NDArray[np.float64]
     qxy: NDArray[np.float64]
     qyy: NDArray[np.float64]
-    # share, load: (n,) factors, not below 0, and loads times them, filled up
+    # share, load: (n,) factors, not below 0, and loads times factors, padded
     share: NDArray[np.float64]
     load: NDArray[np.float64]
-    by_load: NDArray[np.float64]  # (3, n) see `load_gradients`, filled up
-    # by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n) what `weigh_cells` and others fill in
+    by_load: NDArray[np.float64]  # (3, n) see `load_gradients`, padded
+    # by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n), filled in by `weigh_cells` and others
     by_factor: NDArray[np.float64]
     by_drag: NDArray[np.float64]
     by_stretch: NDArray[np.float64]
@@ -121,7 +121,7 @@ class Effects(NamedTuple):
     # own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory
     own: NDArray[np.float64]
     down: NDArray[np.float64]
-    G: NDArray[np.float64]  # (3, Y) derivative of the gradient by y
+    G: NDArray[np.float64]  # (3, Y) derivative of the gradient with respect to y
 
 
 class Motion(NamedTuple):
@@ -137,14 +137,14 @@ class Motion(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What of a step effects change."""
+    """The parts of a step that effects change."""
 
     cells: Any  # `Cells`, or `EffectCells`
     cone: Cone  # law of the contacts
     kappa: float  # factor on the inertia
     # impulse of forces, middle frame: two components, N s, and moment about the origin, N m s
     added: tuple[float, float, float]
-    bend: tuple[float, float]  # how far the finger stands off its record, world, m
+    bend: tuple[float, float]  # offset of the finger from its recorded place, world, m
 
 
 @compiled()
@@ -170,7 +170,7 @@ def _no_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-unty
 
 @compiled(forceinline=True)
 def _split(numbers, count):  # type: ignore[no-untyped-def]
-    """The first numbers, so many of them, and the others."""
+    """The first `count` numbers, and the others."""
     return numbers[:count], numbers[count:]
 
 
@@ -185,7 +185,7 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
     Y, outputs = known + INERTIA + P, after_blades + (1 + 3 * pyramids if pyramids > 0 else 0)
     n, filled = model.load.shape[0], model.cells.rx.shape[0]
     changed, stretched = n if cells else 0, filled if stretch else 0
-    # One piece of memory for many, as each one takes time to get.
+    # One allocation for many arrays, since each one takes time.
     room = np.zeros(Y + CONSTANTS + outputs + 2 * changed + 3 * stretched + 2 * filled + AFTER + own)
     y, room = _split(room, Y)
     c, room = _split(room, CONSTANTS)
@@ -264,7 +264,7 @@ def _some_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
 
 
 rim_under = without_or_with(_no_rim, _some_rim)
-"""`Rim` of a table (7,) or None, under a `Model` with cells of masses (n,); `Layout` with room for these."""
+"""`Rim` of a table (7,), or None, under a `Model` with cell masses (n,); `Layout` with space for them."""
 
 
 @compiled(forceinline=True)
@@ -290,7 +290,7 @@ def _on_table(rim, model, motion, time):  # type: ignore[no-untyped-def]
 
 
 supported = without_or_with(_on_floor, _on_table)
-"""The `Model` with the friction loads that it has at a `Motion`, at a time from the push's start, s."""
+"""The `Model` with its friction loads at a `Motion`, at a time from the push's start, s."""
 
 
 @compiled(forceinline=True)
@@ -300,7 +300,7 @@ def _plain_terms(effects, rim, model, motion, number, h):  # type: ignore[no-unt
 
 @compiled(forceinline=True)
 def _renew_loads(rim, load, carried):  # type: ignore[no-untyped-def]
-    """Where a table carries them, loads change from step to step without any effect on them, too."""
+    """Copy the loads that a table carries: they change from step to step even without an effect on them."""
     if rim is not None:
         copy_into(load, carried)
 
@@ -343,12 +343,12 @@ def _changed_terms(effects, rim, model, motion, number, h):  # type: ignore[no-u
 
 
 terms_at = without_or_with(_plain_terms, _changed_terms)
-"""`Terms` of the step with this number, of length h, from a `Motion`; `model` as the table carries it."""
+"""`Terms` of step `number`, of length h, from a `Motion`; `model` has the loads that the table carries."""
 
 
 @compiled(forceinline=True)
 def add_rim_slopes(rim, effects, motion, terms, taken, slopes):  # type: ignore[no-untyped-def]
-    """Add what the loads' shift does to the `Slopes` of a `Taken` step."""
+    """Add the contribution of shifting loads to the `Slopes` of a `Taken` step."""
     if rim is None:
         return
     if rim.flags[NEAR] != 0:
@@ -372,7 +372,7 @@ _factors = without_or_with(_ones, _shares)
 
 @compiled(forceinline=True)
 def add_effect_slopes(effects, rim, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
-    """Add what formulas do to the `Slopes` of a `Taken` step."""
+    """Add the contribution of the effects' formulas to the `Slopes` of a `Taken` step."""
     if effects is None:
         return
     new, h, G, dout = taken.new, taken.h, effects.G, effects.dout
@@ -398,10 +398,10 @@ def add_effect_slopes(effects, rim, model, terms, taken, slopes):  # type: ignor
 
 @compiled(forceinline=True)
 def carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose):  # type: ignore[no-untyped-def]
-    """Carry the state's rows of the loads over a `Taken` step, in place, or set their direct rows alone.
+    """Carry the loads' state rows over a `Taken` step, in place, or only set their direct rows.
 
     Returns:
-        The first block that is not carried.
+        The first block that is not yet carried.
     """
     new, minimum, h = taken.new, taken.minimum, taken.h
     if rim is not None and rim.flags[NEAR] != 0:
@@ -438,12 +438,12 @@ def _blocks_at_work(rim, S, layout):  # type: ignore[no-untyped-def]
 
 
 at_work = without_or_with(_all_blocks, _blocks_at_work)
-"""Blocks S, of as many rows as a state's, without those of the masses as long as these are zero."""
+"""Blocks S, with as many rows as a state's, without those of the masses while these are zero."""
 
 
 @compiled(forceinline=True)
 def set_mass_slopes(rim, S, layout):  # type: ignore[no-untyped-def]
-    """Set the direct rows of the masses in blocks that hold them, else nothing."""
+    """Set the direct rows of the masses, if the blocks hold any."""
     if rim is None:
         return
     if rim.flags[TOUCHED] != 0:
@@ -458,7 +458,7 @@ def set_mass_slopes(rim, S, layout):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def remember(effects, S, before, F, layout, after, force):  # type: ignore[no-untyped-def]
-    """Renew the memory and its rows after a step, from the `Motion` after it and the force (world, N)."""
+    """Update the memory and its rows after a step, from the `Motion` after it and the force (world, N)."""
     if effects is None or effects.memory == 0:
         return
     y, own = effects.y, effects.own

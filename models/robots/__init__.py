@@ -1,6 +1,6 @@
-"""The robot: its model files and what the rest of the code needs to know of them.
+"""The robot: its model files, and the limits and dimensions that other code needs.
 
-The limits are those of the files (a test holds them together); `iiwa14.urdf` names their sources.
+A test checks that the limits match the files; `iiwa14.urdf` names their sources.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ GRIPPER_MODEL = FOLDER / "comb_gripper.urdf"
 ARM_JOINTS = tuple(f"iiwa_joint_{i}" for i in range(1, 8))
 
 POSITION_LIMITS = np.deg2rad([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
-"""(7,) each joint turns this far to both sides, rad."""
+"""(7,) each joint turns this far either way, rad."""
 SPEED_LIMITS = np.deg2rad([85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0])
 """(7,) rad/s."""
 ACCELERATION_LIMITS = np.array([8.57, 8.57, 8.74, 11.36, 12.23, 15.72, 15.72])
@@ -25,14 +25,14 @@ TORQUE_LIMITS = np.array([320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0])
 FLANGE_HEIGHT = 0.045
 """From the origin of the last link to the flange, along the link's z, m."""
 FINGER_RADIUS = 0.008
-"""Of the closed gripper's round finger where it pushes, over its last 12 mm, m."""
+"""Radius of the closed gripper's round finger over its last 12 mm, where it pushes, m."""
 FINGER_LENGTH = 0.1
-"""From the end of the finger to the hand, m."""
+"""From the finger's tip to the hand, m."""
 GRIPPER_OPENING = 0.11
-"""Largest distance between the axes of the two pins, m; what fits between them is two finger radii less."""
+"""Largest distance between the axes of the two pins, m; the free gap is two finger radii less."""
 GRIP_FORCE = 80.0
 """Largest force of a pin, N."""
 HAND_RADIUS = 0.04
-"""The hand is a capsule along the direction in which the pins close; its radius, m."""
+"""Radius of the hand, a capsule along the direction in which the pins close, m."""
 HAND_DISTANCE = 0.16
-"""From the end of the finger back to the capsule's axis, m."""
+"""From the finger's tip back to the capsule's axis, m."""

@@ -1,4 +1,4 @@
-"""Backward derivatives of cells' formulas, against SymPy's forward ones, term by term."""
+"""Reverse-mode derivatives of the cells' formulas, against SymPy's forward ones, term by term."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_form_in_many_states_costs_few_sums() -> None:
 
 
 def test_negative_powers_are_written_as_quotients() -> None:
-    """Numba's negative powers keep the compiler from computing several cells at once."""
+    """Numba's negative powers keep the compiler from vectorising over cells."""
     printer = _Printer({"fully_qualified_modules": True})
     for power in (-1, -2, sp.Rational(-1, 8), sp.Rational(-9, 8)):
         assert "**(-" not in printer.doprint((1 + RX**2) ** power)

@@ -103,7 +103,7 @@ def test_sensitivities_of_effects_together(names: tuple[str, ...]) -> None:
 
 
 def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-untyped-def]
-    """Each parameter of an effect, and each group of the others, to 1e-5 of its largest derivative."""
+    """Check each parameter of an effect, and each group of the others, to 1e-5 of its largest derivative."""
     maps = plain_maps()
     slider = Slider(BLOCK, RADIUS, effects=effects)
     at = np.concatenate([maps.mass[0], maps.mu[0], maps.mu_finger, push.start_pose, push.start_twist, values])
@@ -149,6 +149,6 @@ def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-u
         changed = out.d_forces if effect.only_force else out.d_poses
         seen = max(np.abs(changed[..., first + place.start]).max(initial=0.0)
                    for place in own)  # fmt: skip
-        # A finger or its sensor does nothing to an object that none touches, nor does where it seems to be.
+        # A finger or its sensor does not affect an object that is not touched, nor does its apparent place.
         of_finger = effect.only_force or effect.name in ("finger_compliance", "tracker_shift")
         assert seen > 0 or (of_finger and np.isnan(push.tip).all())

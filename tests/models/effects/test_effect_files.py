@@ -1,4 +1,4 @@
-"""Effects by name, and effects that users bring: good ones are used, faulty ones told with file and line."""
+"""Effects by name and from users' files: good ones act, faulty ones are refused with file and line."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_classes_of_one_function_are_different_effects(file) -> None:  # type: i
 
 
 def test_a_file_that_is_read_twice_leaves_the_first_as_it_was(file) -> None:  # type: ignore[no-untyped-def]
-    """Machine code is freed with the module that holds it; a second reading of the file makes another."""
+    """Machine code is freed with the module that holds it; reading the file again makes another module."""
     path, maps, push = file(GOOD), with_values(plain_maps(), [2.0]), sliding_push()
     first = Slider(BLOCK, RADIUS, effects=list(load_effects(path)))
     before = first.rollout(maps, [push]).end
@@ -141,10 +141,10 @@ FAULTS = {
     "unit": ('"N", "of', '"pounds", "of', r"line 6.*: parameter strength: unit 'pounds' is not SI"),
     "bounds": ("-50.0, 50.0", "50.0, -50.0", r"line 6.*: parameter strength: low 50.0 must be below"),
     "null": ("0.1, 0.0),", "0.1),", r"line 6.*: no parameter has a null"),
-    "null outside": ("0.1, 0.0),", "0.1, 99.0),", r"line 6.*null or start 99.0 must lie within"),
+    "null outside": ("0.1, 0.0),", "0.1, 99.0),", r"line 6.*null or start 99.0 must lie between"),
     "scale": ("0.1, 0.0),", "0.0, 0.0),", r"line 6.*scale must be positive"),
     "infinite bound": ("50.0, 0.1", 'float("inf"), 0.1', r"line 6.*must be finite"),
-    "name": ('"magnet"', '"My Magnet"', r"line 6.*: name 'My Magnet' must be lower case"),
+    "name": ('"magnet"', '"My Magnet"', r"line 6.*: name 'My Magnet' must be lower-case"),
     "no sentence": ('    sentence = "A magnet under the table pulls."\n', "",
                     r"line 6.*: it has no sentence"),
     "not at null": ("p.strength *", "(p.strength + 1) *",
@@ -156,9 +156,9 @@ FAULTS = {
                          r"line 6.*: the formula has no value at .*v_x = 0, v_y = 0"),
     "no derivative at rest": ("return pull * (0.1 - body.x), -pull * body.y, 0",
                               "return -p.strength * sp.sqrt(body.vx**2 + body.vy**2) * body.vx, 0, 0",
-                              r"line 6.*: the formula has no derivative where the object lies still"),
+                              r"line 6.*: the formula has no finite derivative at rest"),
     "memory that has a name already": ("    def force", '    memory = ("mass",)\n\n    def force',
-                                       r"line 6.*: memory .*not be one that body or cell have"),
+                                       r"line 6.*: memory .*not be one that body or cell has"),
     "root of a negative": ("+ 0.03**2)", "+ 0.03**2) * sp.sqrt(-1 - p.strength**2)", r"Magnet: the formula"),
     "exception": ("        distance", "        raise RuntimeError('oh')\n        distance",
                   r"line 6.*magnet: force\(\) failed in magnet\.py, line 12: RuntimeError: oh"),
@@ -176,17 +176,17 @@ FAULTS = {
                                  r"Magnet: effect magnet: force\(\) failed in magnet\.py, line 12: Sys"),
     "constructor ends": ("    def force", "    def __init__(self):\n        exit(3)\n\n    def force",
                          r"class Magnet: Magnet\(\) failed in magnet\.py, line 12: SystemExit: 3"),
-    "misspelt": ("def force", "def forse", r"forse\(\) is no method of an effect; did you mean force\(\)\?"),
+    "misspelt": ("def force", "def forse", r"forse\(\) is not a method .*; did you mean force\(\)\?"),
     "misspelt beside": ("    def force", "    def stats(self, scene):\n        return [{}]\n\n    def force",
-                        r"stats\(\) is no method of an effect; did you mean starts\(\)\?"),
+                        r"stats\(\) is not a method of an effect; did you mean starts\(\)\?"),
     "public helper": ("    def force", "    def zzz(self):\n        return 1\n\n    def force",
-                      r"zzz\(\) is no method of an effect; there are friction, drag, .*underscore"),
+                      r"zzz\(\) is not a method of an effect; there are friction, drag, .*underscore"),
     "no formula": ("def force", "def _force", r"line 6.*: it has no formula; write one or more of"),
     "nothing returned": ("return pull", "pull", r"what force\(\) return does not depend on strength"),
     "no parameter in it": ("p.strength", "0", r"what force\(\) return does not depend on strength"),
     "unit is no text": ('"N", "of', '5, "of', r"class Magnet: parameter strength: unit must be text, got 5"),
     "null byte": ("\nclass", "\0\nclass", r"magnet\.py, line 5: it holds a null byte"),
-    "start outside": ("0.1, 0.0),", "0.1, 0.0, start=99.0),", r"start 99\.0 must lie within -50\.0 and 50"),
+    "start outside": ("0.1, 0.0),", "0.1, 0.0, start=99.0),", r"start 99\.0 must lie between -50\.0 and 50"),
     "no class": ("class Magnet(Effect):", "class Magnet:", r"magnet\.py.*Effect"),
 }  # fmt: skip
 
@@ -209,7 +209,7 @@ STARTS = {
         "return [{'where': 0.1}]",
         r"starts\(\) names 'where'; its parameters are strength, place",
     ),
-    "out of range": ("return [{'place': 0.1}, {'place': 5.0}]", r"place = 5; it must lie within -2 and 2"),
+    "out of range": ("return [{'place': 0.1}, {'place': 5.0}]", r"place = 5; it must lie between -2 and 2"),
     "no list": ("return {'place': 0.1}", r"starts\(\) must return a list"),
     "no guess": ("return []", r"starts\(\) must return a list of one or more"),
 }

@@ -1,4 +1,4 @@
-"""Each effect in a case simple enough for a pencil."""
+"""Each effect in a case that can be solved by hand."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_viscous_drag_brakes_a_spin_by_the_second_moment_of_area() -> None:
     out = slide(
         [EFFECTS["viscous_friction"]], [c], coast_of((0, 0, spin), 0.3, 2e-4), grid=SQUARE, mass=MASS, mu=mu
     )
-    # Drag and inertia have one second moment, if both are spread evenly.
+    # Drag and inertia have the same second moment if both are uniform.
     assert out.end[0, 0, 5] == pytest.approx(spin * np.exp(-c * AREA / MASS * 0.3), rel=3e-3)
 
 
@@ -95,7 +95,7 @@ def test_a_sliding_block_on_a_tilted_table() -> None:
 
 
 def braking(name: str, values: list[float], place: tuple[float, float]) -> float:
-    """Friction coefficient that a dot sliding at one place feels, less than a millimetre of way."""
+    """Friction coefficient on a dot that slides less than a millimetre at one place."""
     push = coast_of((0.3, 0, 0), 1e-3, 1e-4, start=(*place, 0.0))
     out = slide([EFFECTS[name]], values, push, grid=DOT, mu=MU)
     return float((0.3 - out.end[0, 0, 3]) / (1e-3 * G))
@@ -168,7 +168,7 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
     there = slide([], [], push, grid=SQUARE).poses[0]
     seen = slide([EFFECTS["tracker_offset"]], [x, y, angle],
                  coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=reported), grid=SQUARE).poses[0]  # fmt: skip
-    # The frames are rigidly joined: one and the same transform at every instant.
+    # The frames are rigidly joined: the transform is the same at every instant.
     cos, sin = np.cos(there[:, 2]), np.sin(there[:, 2])
     assert seen[:, 0] == pytest.approx(there[:, 0] + cos * x - sin * y, abs=1e-12)
     assert seen[:, 1] == pytest.approx(there[:, 1] + sin * x + cos * y, abs=1e-12)
@@ -180,7 +180,7 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
 
 
 def test_a_tracker_shifted_and_turned_is_a_finger_in_another_frame() -> None:
-    """Pushing in the one frame what is seen in the other: rigidly joined at every instant."""
+    """Reported and true frames are rigidly joined at every instant."""
     x, y, angle = 0.01, -0.02, 0.3
     c, s = np.cos(angle), np.sin(angle)
 
@@ -206,7 +206,7 @@ def test_a_tracker_shifted_in_the_world_is_a_finger_recorded_off_its_centre() ->
     true = slide([], [], push, grid=SQUARE)
     recorded = Push(push.h, push.tip + off, push.start_pose, force_times=push.force_times)
     out = slide([EFFECTS["tracker_shift"]], [*-off, 0.0], recorded, grid=SQUARE)
-    # The world of this finger lies off by as much, and the tracker's report is put back.
+    # The finger's world is shifted by as much, and the tracker's report is shifted back.
     assert out.poses == pytest.approx(true.poses, abs=1e-9)
 
 
@@ -229,7 +229,7 @@ def test_a_force_sensor_reports_another_force_of_the_same_motion(name, values, r
 
 
 def test_a_late_force_is_that_of_before() -> None:
-    """Late by some steps it is their force; by half a step more, the mean of two; at first, the first one."""
+    """A delay of whole steps shifts the forces, half a step more averages two; at first, the first holds."""
     push, steps = steady_push(0.7, yaw=0.1), 12
     true = slide([], [], push, grid=SQUARE).forces[0]
     late = slide([EFFECTS["force_latency"]], [steps * push.h], push, grid=SQUARE).forces[0]
@@ -255,7 +255,7 @@ def test_a_bending_finger_stays_behind_by_compliance_times_force() -> None:
     out = slide([EFFECTS["finger_compliance"]], [compliance], push, grid=SQUARE, mass=MASS, mu=MU)
     behind = push.tip[1:, 0] + 0.005 + 0.03 - out.poses[0, :, 0]
     force = out.forces[0, :, 0]
-    # The object swings on the bent finger; at every instant the give belongs to the force.
+    # The object swings on the bent finger; at every instant the deflection matches the force.
     assert behind[50:] == pytest.approx(compliance * force[50:], rel=0.01)
     assert np.ptp(force[50:]) > 0.1 * MU * MASS * G
     period = round(2 * np.pi * np.sqrt(MASS * compliance) / push.h)
@@ -270,7 +270,7 @@ def test_natural_frequency_of_a_loose_mass() -> None:
     push = Push(h, np.full((steps + 1, 2), np.nan), np.zeros(3), wrench=wrench)
     out = slide([EFFECTS["loose_mass"]], [share, rate, 0.0], push, grid=SQUARE, mass=MASS, mu=1e-7)
     speed = np.diff(out.poses[0, :, 0]) / h
-    # Whatever swings inside, the whole keeps the momentum of the kick.
+    # Whatever swings inside, the total keeps the momentum of the kick.
     mean = kick * 50 * h / MASS
     swing = speed[60:] - mean
     rising = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
@@ -282,7 +282,7 @@ def test_natural_frequency_of_a_loose_mass() -> None:
 
 
 def test_moment_balance_of_load_transfer() -> None:
-    """The cells' loads carry the weight and answer the moment of a force above the table."""
+    """The cells' loads carry the weight and balance the moment of a force above the table."""
     high, force, weight, width = 0.02, np.array([0.4, -0.3]), MASS * G, 0.01
     centers = SQUARE.centers
     spread = np.linalg.inv(centers.T @ centers / len(centers) + np.eye(2) * width**2 / 12)
@@ -340,7 +340,7 @@ def test_a_skate_off_the_centre_turns_the_object() -> None:
     )
     moment = MASS * (0.06**2 + 0.06**2) / 12
     torque = 0.02 * -0.4 * MASS * G
-    # At first the place moves sideways as the object does.
+    # At first the point moves sideways like the object.
     inertia_of_cells = MASS * ((SQUARE.centers**2).sum(axis=1).mean() + 0.01**2 / 6)
     assert inertia_of_cells == pytest.approx(moment, rel=1e-9)
     assert out.end[0, 0, 5] == pytest.approx(torque / moment * 5e-3, rel=0.01)

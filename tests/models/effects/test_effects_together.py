@@ -1,4 +1,4 @@
-"""Several effects at once, and what is compiled once."""
+"""Several effects at once, and formulas that are compiled only once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PAIRS = [
 
 @pytest.mark.parametrize(("one", "other"), PAIRS)
 def test_small_effects_add_up(one: str, other: str) -> None:
-    """What is left of the sum falls with the square of their size; without a finger there are no kinks."""
+    """The deviation from the sum falls with the square of their size; without a finger there are no kinks."""
     push, maps = coasting(), plain_maps()
     plain = Slider(BLOCK, RADIUS).rollout(maps, [push]).poses
 

@@ -1,4 +1,4 @@
-"""Laws of friction that simulators have instead of Coulomb's, against sums over the cells by hand."""
+"""Friction laws that simulators use instead of Coulomb's, against explicit sums over the cells."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOMENT = MASS / len(GRID) * np.sum(ARMS**2 + GRID.width**2 / 6)
 
 
 def acceleration(name: str, values: list[float], velocity: list[float], spin: float = 0.0) -> FloatArray:
-    """(3,) of a block that is let go with a velocity in the world, over 20 steps."""
+    """(3,) mean acceleration over 20 steps of a block released with a velocity in the world."""
     c, s = np.cos(YAW), np.sin(YAW)
     x, y = velocity
     twist = [c * x + s * y, c * y - s * x, spin]

@@ -1,4 +1,4 @@
-"""Whatever stands in a file of effects, there are effects or an EffectError, and soon."""
+"""Any effect file, whatever it contains, soon gives effects or an EffectError."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ LINES = GOOD.splitlines(keepends=True)
 
 
 def test_effects_with_lines_left_out_or_doubled(read):
-    """Most of them are Python still."""
+    """Most of them are still valid Python."""
     files = []
     for number, line in enumerate(LINES):
         files.append("".join(LINES[:number] + LINES[number + 1 :]).encode())

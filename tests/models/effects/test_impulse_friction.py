@@ -1,4 +1,4 @@
-"""Friction that leans, against the simulator that it is taken from: Bullet, contact by contact."""
+"""Leaning friction, against Bullet, the simulator that it comes from, contact by contact."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def contacts(speed: tuple[float, float], omega: float, angle: float) -> list[tup
 def degrees_off(
     share: float, angle: float, arm: np.ndarray, velocity: np.ndarray, friction: np.ndarray
 ) -> float:
-    """Degrees between the law's direction and that of some friction, of an object turned by an angle."""
+    """Degrees between the law's direction and that of a given friction, for an object turned by an angle."""
     inertia = Slider(GRID, 0.005, effects=[LEAN]).inertia(MASS[None])[0]
     mass, *first, moment = inertia
     c, s = np.cos(angle), np.sin(angle)
@@ -100,7 +100,7 @@ def test_friction_leans_as_in_bullet(speed: tuple[float, float], omega: float, a
 
 
 def test_friction_that_leans_is_no_larger() -> None:
-    """A cell that slides alone, far from the centre of mass of a heavy rest, is braked by its load."""
+    """A single sliding cell, far from the centre of mass of a heavy object, is braked by its own load."""
     maps = Maps(MASS[None], np.zeros((1, len(GRID))), np.array([0.3]), np.array([[1.0]]))
     corner = int(np.argmax(GRID.centers @ [1.0, 0.6]))
     maps.mu[0, corner] = 0.5

@@ -1,4 +1,4 @@
-"""Single steps: the same motion as a rollout, and derivatives by all that a step depends on."""
+"""Single steps: the same motion as a rollout, and derivatives with respect to all inputs of a step."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_steps_end_where_the_rollout_ends(name: str | None, push: Push) -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_jacobian_agrees_with_differences(name: str | None) -> None:
-    """In the middle of a push, with a wrench besides."""
+    """In the middle of a push, with a wrench as well."""
     stepper, maps = model_of(name)
     push = sliding_push()
     n, P, Z = len(BLOCK), stepper.program.parameters, stepper.size
@@ -86,7 +86,7 @@ def test_jacobian_agrees_with_differences(name: str | None) -> None:
             step(at + shift)[0] - step(at - shift)[0],
         )
         found[:, j] = (8 * near - far) / 12 / h[j]
-    # Rounding of the differences: they are of numbers of the size of the state.
+    # Rounding of the differences, which are between numbers of the size of the state.
     rounding = 1e-14 * np.maximum(np.abs(state), 1.0)[:, None] / h
     assert (np.abs(found - jacobian) < 2e-4 * np.abs(jacobian).max(axis=0) + 3 * rounding).all()
     assert np.abs(jacobian[3:6, ends[-1] :]).max() > 1.0  # the finger touches the object

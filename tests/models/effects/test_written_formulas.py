@@ -1,4 +1,4 @@
-"""Formulas as they are printed say what the code computes."""
+"""Printed formulas say what the code computes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def numbers(
     rng: np.random.Generator,
 ) -> tuple[dict[str, float], SimpleNamespace, SimpleNamespace, SimpleNamespace]:
     """Values of the printed letters, and the same as body, cell and after."""
-    # In an order of their own: that of a set is another in each process.
+    # In a fixed order, since the order of a set differs between processes.
     names = sorted({*body_names({}), *cell_names(body_names({}))})
     value = {name: float(rng.uniform(0.1, 0.9)) for name in names}
     value |= {

@@ -243,7 +243,7 @@ def test_large_mesh():
         (
             trimesh.util.concatenate([box(0.1, 0.1, 0.1), box(0.1, 0.1, 0.1, at=(0.3, 0, 0))]),
             {},
-            "falls into 2 separate parts",
+            "is in 2 separate parts",
         ),
         (trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 2]]), {}, "has no area"),
         (

@@ -105,7 +105,7 @@ def least_power_push(
     radius: float,
     mu_finger: float,
 ) -> FloatArray:
-    """Pose after a slow finger has moved straight on from `tip` (world), touching all the time."""
+    """Pose after a slow finger has moved straight on from `tip` (world), always in touch."""
 
     def rate(time: float, pose: FloatArray) -> FloatArray:
         turn = rotation(pose[2])
@@ -134,7 +134,7 @@ def _least_power_twist(
         return np.array([*s.sum(axis=0), np.sum(arms[:, 0] * s[:, 1] - arms[:, 1] * s[:, 0])])
 
     speed = np.linalg.norm(finger)
-    # The finger holds the object: the contact moves along, only the turn is free.
+    # The finger sticks: the contact moves with it, and only the rotation is free.
     turn = minimize_scalar(
         lambda w: power(finger, w * speed / size), bracket=(-0.5, 0.5), options={"xtol": 1e-9}
     ).x
@@ -145,7 +145,7 @@ def _least_power_twist(
     if abs(along) <= mu_finger * float(-force @ normal):
         at_contact = finger
     else:
-        # It slips: the force lies on the edge of the cone, the power is least for a given motion along it.
+        # The finger slips: the force is on the edge of the cone; power is least for a given motion along it.
         edge = -normal + np.sign(along) * mu_finger * tangent
         across = np.array([-edge[1], edge[0]])
 

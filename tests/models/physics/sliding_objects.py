@@ -1,4 +1,4 @@
-"""Objects, pushes and geometry that the tests of the physics share; none of it uses the code under test."""
+"""Objects, pushes and geometry for the physics tests, independent of the code under test."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def coast(twist: ArrayLike, duration: float, h: float, start_pose: ArrayLike = (
 def drive(
     wrench: FloatArray, h: float, *, start_pose: ArrayLike = (0, 0, 0), start_twist: ArrayLike = (0, 0, 0)
 ) -> Push:
-    """Driven by a wrench alone."""
+    """A push by a wrench only."""
     nowhere = np.full((len(wrench) + 1, 2), np.nan)
     start_pose, start_twist = (np.asarray(a, dtype=float) for a in (start_pose, start_twist))
     return Push(h, nowhere, start_pose, start_twist, wrench=wrench)
@@ -128,7 +128,7 @@ def gaps_along(grid: CellGrid, poses: FloatArray, tip: FloatArray, radius: float
 
 
 def touched_point(grid: CellGrid, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The outline's point nearest to an outside point, and the unit normal from there towards it."""
+    """The outline's point nearest to an outside point, and the unit normal from it to that point."""
     boundary = shapely.Polygon(grid.exterior, grid.holes).boundary
     nearest = boundary.interpolate(boundary.project(shapely.Point(point)))
     contact = np.array(nearest.coords[0])
@@ -136,7 +136,7 @@ def touched_point(grid: CellGrid, point: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def with_start(poses: FloatArray, push: Push) -> FloatArray:
-    """Poses of all ends of steps, the start first."""
+    """Poses at the ends of all steps, after the start pose."""
     return np.vstack([push.start_pose, poses])
 
 
@@ -144,7 +144,7 @@ PARAMETERS = ("mass", "mu", "mu_finger", "start_pose", "start_twist")
 
 
 def parameter_slices(n: int) -> dict[str, slice]:
-    """Where the columns of `Slider.map_columns` hold what."""
+    """Columns of `Slider.map_columns` by kind."""
     ends = np.cumsum([0, n, n, 1, 3, 3])
     return {name: slice(a, b) for name, a, b in zip(PARAMETERS, ends[:-1], ends[1:], strict=True)}
 
@@ -169,7 +169,7 @@ def rollout_at(slider: Slider, push: Push, parameters: FloatArray) -> Rollouts:
 def central_differences(
     slider: Slider, push: Push, at: FloatArray, steps: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of poses (S, 3, P) and forces (T, 2, P) by all parameters, with a five-point formula."""
+    """Derivatives of poses (S, 3, P) and forces (T, 2, P) in all parameters, by a five-point formula."""
     shifts = np.diag(steps)
     out = rollout_at(slider, push, np.vstack([at + k * shifts for k in (-2, -1, 1, 2)]))
 

@@ -1,4 +1,4 @@
-"""Balance margins against shapes whose margin is known, and against a support polygon made of points."""
+"""Balance margins against shapes with a known margin, and against a support polygon made of points."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ TABLES = pytest.mark.parametrize("table", [ROUND, RECTANGLE], ids=["round", "rec
 
 @pytest.fixture(scope="module")
 def bar() -> CellGrid:
-    """0.2 m by 0.06 m."""
+    """A bar of 0.2 m by 0.06 m."""
     return cells_from_polygon(np.array([[-0.1, -0.03], [0.1, -0.03], [0.1, 0.03], [-0.1, 0.03]]), width=0.02)
 
 
 def test_bar_over_a_straight_edge(bar: CellGrid) -> None:
-    """The edge lies at x = 0.5 m; on the table the bar reaches from its far end to there."""
+    """The edge lies at x = 0.5 m; the part of the bar on the table ends there."""
     x = np.array([0.42, 0.48, 0.53, 0.59])
     poses = np.column_stack([x, np.full(4, 0.05), np.zeros(4)])
     centers = np.array([[0.0, 0.0], [-0.06, 0.01], [-0.09, 0.0]])
@@ -42,7 +42,7 @@ def test_bar_that_is_turned_over_the_edge(bar: CellGrid) -> None:
 
 
 def test_disc_on_a_disc() -> None:
-    """Of a large disc on a small table, the table is the support; of a small one, itself."""
+    """The table supports a disc that is larger than it; a smaller disc is its own support."""
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     table = Table("round", (0.0, 0.0), radius=0.1)
@@ -63,14 +63,14 @@ def test_a_bar_across_the_rim_of_a_round_table(bar: CellGrid) -> None:
     assert balance_margins(bar, [[0.0, 0.0]], [[0.48, 0.0, 0.0]], table)[0, 0] == pytest.approx(
         0.02, abs=1e-5
     )
-    # Seen from outside the support, too.
+    # From outside the support too.
     assert balance_margins(bar, [[0.0, 0.0]], [[0.53, 0.0, 0.0]], table)[0, 0] == pytest.approx(
         -0.03, abs=1e-5
     )
 
 
 def test_concave_outline_is_supported_by_its_hull() -> None:
-    """A fork whose tines rest on the table, its handle not: between the tines there is support."""
+    """A fork with only its tines on the table: there is support between the tines."""
     fork = np.array(
         [[0, -0.1], [0.3, -0.1], [0.3, 0.1], [0, 0.1], [0, 0.06], [0.2, 0.06], [0.2, -0.06], [0, -0.06]]
     )
@@ -152,7 +152,7 @@ def test_wrong_arguments_are_named(bar: CellGrid) -> None:
 
 
 def _points_within(grid: CellGrid) -> np.ndarray:
-    """Every millimetre inside the outline, with the outline's own points."""
+    """Points every millimetre inside the outline, and the outline's own points."""
     x0, y0, x1, y1 = grid.polygon.bounds
     x, y = np.meshgrid(np.arange(x0, x1, 1e-3), np.arange(y0, y1, 1e-3))
     lattice = np.column_stack([x.ravel(), y.ravel()])

@@ -11,7 +11,7 @@ HOLE = np.array([[0.02, 0.02], [0.05, 0.02], [0.05, 0.04]])
 
 
 def inward_points(grid):
-    """A point just to the left of the middle of every edge."""
+    """A point just left of the middle of each edge."""
     start, end = grid.edges[:, :2], grid.edges[:, 2:]
     along = end - start
     left = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]

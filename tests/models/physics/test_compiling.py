@@ -1,4 +1,4 @@
-"""What is compiled, and that a call by address is the call by name."""
+"""Which functions are compiled, and that calls by address equal calls by name."""
 
 from __future__ import annotations
 

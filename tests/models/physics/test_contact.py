@@ -1,4 +1,4 @@
-"""The finger's contact: the gap against shapely, the force in Coulomb's cone, corners, depth and release."""
+"""The finger's contact: the gap against Shapely, the force in Coulomb's cone, corners, depth and release."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ ONE_CELL = np.zeros((1, 2))
 def outlines(draw: st.DrawFn) -> CellGrid:
     """Star-shaped outlines of 3 to 12 corners, mostly with concave ones, every other with a concave hole."""
     middle, exterior = star(draw, 12, 0.03)
-    # A star is visible from its middle, so its smaller copy lies inside.
+    # All of a star is visible from its centre, so a smaller copy lies inside.
     holes = (middle + 0.3 * (exterior - middle),) if draw(st.booleans()) else ()
     return CellGrid(ONE_CELL, 0.01, exterior, holes)
 
 
 @st.composite
 def places(draw: st.DrawFn) -> tuple[CellGrid, np.ndarray]:
-    """An outline and points all around, half of them close to an edge or beside a corner."""
+    """An outline and points all around it, half of them close to an edge or next to a corner."""
     grid = draw(outlines())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     corners = grid.edges[:, :2]
@@ -104,7 +104,7 @@ def test_a_push_on_a_corner_in_a_straight_side_holds_contact() -> None:
         heading = rotation(angle)[:, 0]
         tip = line((-0.05 - FINGER_RADIUS) * heading, 0.05 * heading, 0.5, h)
         forces = Slider(grid, FINGER_RADIUS).rollout(maps, [finger_push(tip, h)]).forces[0]
-        # Steady translation: the push holds the friction of the whole object.
+        # Steady translation: the push balances the friction of the whole object.
         expected = np.tile(0.6 * 0.4 * GRAVITY * heading, (40, 1))
         assert forces[10:] == pytest.approx(expected, rel=0.02, abs=0.02)
 
@@ -164,10 +164,10 @@ def test_contact_force_stays_in_the_cone_and_opposes_slip(height: float, angle: 
     touching = normal > 0
     assert touching.sum() > 100
     assert np.all(normal >= 0)
-    # The normal at the middle of the step differs by its prediction error from the one that the step saw.
+    # The normal at mid-step differs from the one that the step used by its prediction error.
     assert np.all(np.abs(tangential) <= (mu + 1e-3) * normal + 1e-9)
     assert np.all(forces[~touching] == 0)
-    # Friction on the object points to where the finger slips, but for creep and the same error.
+    # Friction on the object points along the finger's slip, up to creep and the same error.
     assert np.all(tangential * slips >= -1e-4 * np.abs(tangential) - 1e-3 * normal * np.abs(slips))
     slipping = touching & (np.abs(slips) > 1e-3)
     assert np.all(np.abs(np.abs(tangential) - mu * normal)[slipping] <= 2e-3 * normal[slipping])
@@ -198,7 +198,7 @@ def test_a_concave_corner_holds_the_finger_from_two_sides() -> None:
     local_tip = np.array([to_object(t, q) for t, q in zip(push.tip[1:], out.poses[0], strict=True)])
     local_force = np.array([rotation(q[2]).T @ f for q, f in zip(out.poses[0], out.forces[0], strict=True)])
     held = slice(60, None)
-    # Without friction each side pushes along its own normal alone: a force between the two needs both.
+    # Without friction each side pushes only along its normal: a force between the two needs both.
     assert np.all(local_force[held] < -0.1)
     assert local_tip[held] == pytest.approx(np.full((140, 2), radius), abs=2e-5)
 
@@ -217,7 +217,7 @@ def test_only_one_side_of_a_concave_corner_is_felt_away_from_it() -> None:
 
 @pytest.mark.parametrize("speed", [0.05, 0.0, -0.05])
 def test_a_finger_without_friction_never_pulls(speed: float) -> None:
-    """It comes straight at a symmetric object, stands before it or backs away, so that nothing slips."""
+    """A finger that comes straight at a symmetric object, stops before it or backs away, without slip."""
     h = 0.01
     grid = rectangle(2, 2, 2.0**-5)
     maps = Maps(np.full(4, 0.0625), np.full(4, 0.4), np.array([0.0]))

@@ -1,4 +1,4 @@
-"""What must not matter: the world frame, the object frame, handedness, and the unit of mass."""
+"""Invariance to the world frame, the object frame, handedness, and the unit of mass."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_the_world_frame_does_not_matter(push: Push) -> None:
 
 
 def in_another_frame(push: Push, origin: np.ndarray, angle: float) -> tuple[CellGrid, Push]:
-    """The same object and push, described in an object frame that sits at `origin`, turned by `angle`."""
+    """The same object and push, described in an object frame at `origin`, turned by `angle`."""
     frame = (*origin, angle)
     grid = CellGrid(to_object(GRID.centers, frame), GRID.width, to_object(GRID.exterior, frame))
     start = np.array([*to_world(origin, push.start_pose), push.start_pose[2] + angle])
@@ -180,7 +180,7 @@ def test_many_models_and_pushes_at_once_are_those_one_by_one() -> None:
         for b, push in enumerate(pushes):
             alone = slider.rollout(maps[[k]], [push], sensitivities=True)
             at = slice(together.pose_at[b], together.pose_at[b + 1])
-            # The two are compiled apart, so that sums may round differently.
+            # The two are compiled separately, so sums may round differently.
             assert together.poses_of(b)[k] == pytest.approx(alone.poses[0], abs=1e-12)
             assert together.forces_of(b)[k] == pytest.approx(alone.forces[0], abs=1e-8)
             assert together.end[k, b] == pytest.approx(alone.end[0, 0], abs=1e-10)

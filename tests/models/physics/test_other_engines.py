@@ -70,7 +70,7 @@ def drake_push(
     outline = plant.RegisterCollisionGeometry(
         body, RigidTransform(), Box(*size, 2 * HALF_HEIGHT), "outline", material(mu_finger)
     )
-    # Points at the radius of gyration of a square: they resist a spin as the cell does.
+    # Points at the radius of gyration of a square resist a spin like the cell.
     offsets = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * grid.width / np.sqrt(12)
     feet = [
         plant.RegisterCollisionGeometry(

@@ -188,7 +188,7 @@ def test_rigid_motion_fulfils_the_constraints(seed):
 def test_only_rigid_motions_fulfil_the_constraints(centers, angle):
     Je = paper.equality_jacobian([0.4, 0.2, angle], centers, W).toarray()
     n = len(centers)
-    scaled = Je / np.tile([1, 1, W], n)  # lengths in cells, so that the rank does not hang on the unit
+    scaled = Je / np.tile([1, 1, W], n)  # lengths in cells, so that the rank does not depend on the unit
     assert Je.shape[1] == 3 * n
     singular = np.linalg.svd(scaled, compute_uv=False) if n > 1 else np.zeros(0)
     assert np.sum(singular > 1e-6) == 3 * n - 3

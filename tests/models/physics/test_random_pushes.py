@@ -1,4 +1,4 @@
-"""Whatever the object, its maps and the push: the model finds an answer, and the answer is a possible one."""
+"""For any object, maps and push, the model finds a solution, and the solution is possible."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Scene:
 
 @st.composite
 def grids(draw: st.DrawFn) -> CellGrid:
-    """Stars with 3 to 9 corners, convex or not, somewhere about the object frame's origin."""
+    """Stars with 3 to 9 corners, convex or not, somewhere around the object frame's origin."""
     _, outline = star(draw, 9, 0.025)
     return cells_from_polygon(outline, count=draw(st.integers(1, 60)))
 
@@ -112,7 +112,7 @@ def test_the_finger_stays_out_of_the_object(scene: Scene) -> None:
     out = scene.slider.rollout(scene.maps, [scene.push])
     push = scene.push
     gaps = gaps_along(scene.grid, out.poses[0], push.tip[1:], scene.finger_radius)
-    # So far sinks a spring of stiffness load / penetration that stops the whole mass.
+    # Compression of a spring of stiffness load / penetration that stops the whole mass.
     twists = np.vstack([push.start_twist, twists_between(with_start(out.poses[0], push), push.h)])
     reach = np.abs(scene.grid.exterior).max()
     speeds = np.hypot(twists[:, 0], twists[:, 1]) + reach * np.abs(twists[:, 2])

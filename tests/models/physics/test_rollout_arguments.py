@@ -1,4 +1,4 @@
-"""Errors of pushes, maps, sliders and rollouts name the parameter; accepted input means what it says."""
+"""Errors of pushes, maps, sliders and rollouts name the parameter; accepted input is taken literally."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensitivities of poses and forces against differences, in every state of the contact and at its kinks."""
+"""Sensitivities of poses and forces against finite differences, in every contact state and at its kinks."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def from_the_left(height: float, angle: float, clearance: float, duration: float
 
 
 def made_and_lost() -> Push:
-    """Comes up to the object in an arc, touches it, and leaves it again."""
+    """A finger that approaches the object in an arc, touches it, and leaves it again."""
     time = H * np.arange(101)
     local = np.column_stack([-0.075 + 0.03 * np.sin(np.pi * time), 0.01 + 0.03 * time])
     return finger_push(START[:2] + local @ rotation(START[2]).T, H, start_pose=START)
@@ -107,7 +107,7 @@ def steps_of(n: int, scale: float = 1.0) -> np.ndarray:
 
 
 def touching(case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each step: whether there is a force, its slope against the normal, where it acts (object frame)."""
+    """For each step: whether there is a force, its slope to the normal, its point (object frame)."""
     out = case.slider.rollout(case.maps, [case.push])
     poses = with_start(out.poses[0], case.push)
     slopes, places = [], []
@@ -167,7 +167,7 @@ def test_sensitivities_of_a_single_cell() -> None:
 
 
 def check_groups(name: str, analytic: np.ndarray, numeric: np.ndarray, case: Case) -> None:
-    """Each group of parameters to a millionth of its largest derivative."""
+    """Check each group of parameters to a millionth of its largest derivative."""
     for group, place in parameter_slices(len(case.grid)).items():
         if group == "mu_finger" and (not case.finger or case is CASES["sticking"]):
             assert np.all(analytic[..., place] == 0)
@@ -180,7 +180,7 @@ def check_groups(name: str, analytic: np.ndarray, numeric: np.ndarray, case: Cas
 
 @pytest.mark.parametrize("name", ["sliding", "caught in motion", "coasting"])
 def test_reduced_columns_of_the_inertia(name: str) -> None:
-    """Mass added at constant friction load moves m, s_x, s_y and J alone."""
+    """Mass added at constant friction load changes only m, s_x, s_y and J."""
     case = CASES[name]
     slider, maps, push = case.slider, case.maps, case.push
     n = len(case.grid)
@@ -203,7 +203,7 @@ def test_reduced_columns_of_the_inertia(name: str) -> None:
         expected = by_inertia[column].reshape(numeric.shape[:2])
         error = np.abs(reduced[..., n + column] - expected).max()
         assert error <= 1e-5 * np.abs(expected).max()
-    # And the loads: by friction alone, which acts through f_i = mu_i m_i g.
+    # And the loads: through friction only, which acts through f_i = mu_i m_i g.
     by_mu = slider.map_columns(maps, reduced[None])[0, ..., n : 2 * n]
     assert by_mu == pytest.approx(reduced[..., :n] * maps.mass[0] * GRAVITY)
 
@@ -230,7 +230,7 @@ def test_sensitivities_of_an_object_that_holds_against_a_small_force(seed: int) 
 
 
 class TestKinks:
-    """Where two states of the contact meet, derivatives are those of the state that the solution is in."""
+    """On the border of two contact states, derivatives are those of the state of the solution."""
 
     @staticmethod
     def one_sided(slider: Slider, push: Push, at: np.ndarray, column: int, step: float) -> np.ndarray:

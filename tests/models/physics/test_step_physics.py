@@ -53,7 +53,7 @@ def test_a_spinning_disc_slows_at_two_thirds_of_mu_m_g_r(count: int, tolerance: 
 
 
 def test_spin_of_60_cells_has_the_torque_of_their_squares() -> None:
-    # Less the error of cutting a disc into squares, the cells' own friction is far better than that.
+    # Without the error of cutting a disc into squares, the cells' own friction is far more accurate.
     grid = disc(60, 0.05)
     n = len(grid)
     torque = spin_down_torque(grid, np.full(n, 1 / n), mu=0.4, spin=10.0, duration=0.05)
@@ -75,7 +75,7 @@ def test_a_push_through_the_centre_of_friction_goes_straight() -> None:
         start = (-0.04 - FINGER_RADIUS, middle[1] + offset)
         pose = slider.rollout(maps, [finger_push(line(start, (0.05, 0), 1.0, 0.01), 0.01)]).poses[0, -1]
         if offset == 0:
-            # Steady motion at the finger's speed, behind it by the creep of its first touch alone.
+            # Steady motion at the finger's speed, behind it only by the creep of the first touch.
             assert pose == pytest.approx([0.05, 0, 0], abs=2e-5)
         return float(pose[2])
 
@@ -108,7 +108,7 @@ def test_a_step_moves_the_object_along_the_screw_of_its_new_twist(spin: float) -
 
 
 def relative_errors(pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Errors of translation and rotation, each relative to the whole."""
+    """Errors of translation and rotation, each relative to the total."""
     shift = np.linalg.norm(pose[:2] - reference[:2]) / np.linalg.norm(reference[:2])
     return np.array([shift, abs(pose[2] / reference[2] - 1)])
 
@@ -171,7 +171,7 @@ class TestAgainstExactCoulombFriction:
         pose = forced(self.slider, self.maps, force=np.zeros(2), couple=0.35)
         assert reference[2] > 0.5
         assert pose[2] == pytest.approx(reference[2], rel=1e-3)
-        # It turns nearly on the spot: what is left of translation counts against the way of the rim.
+        # It turns nearly on the spot: the remaining translation is compared with the path of its rim.
         assert pose[:2] == pytest.approx(reference[:2], abs=1e-3 * 0.05 * reference[2])
 
     @pytest.mark.parametrize("mu_finger", [0.1, 1.0])
@@ -288,7 +288,7 @@ class TestStepHalving:
 
     @pytest.mark.parametrize("angle", [0.0, 0.6])
     def test_finger(self, angle: float) -> None:
-        # The object starts with the finger's velocity: a blow has a test of its own.
+        # The object starts with the finger's velocity; blows have their own test.
         velocity = 0.05 * np.array([np.cos(angle), np.sin(angle)])
 
         def push(h: float) -> Push:
@@ -297,7 +297,7 @@ class TestStepHalving:
         assert np.all(self.orders(push) > 0.9)
 
     def test_blow(self) -> None:
-        """A finger that starts against a resting object: whatever the step, the object goes as far."""
+        """A finger that starts against a resting object moves it equally far at any step length."""
         maps = Maps(self.maps.mass, np.full((1, 60), 0.05), self.maps.mu_finger)
 
         def pose(h: float) -> np.ndarray:

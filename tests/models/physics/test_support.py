@@ -1,4 +1,4 @@
-"""Loads where part of the object lies beyond the table's rim, and what follows for motion and derivatives."""
+"""Loads when part of the object lies beyond the table's rim, and their effect on motion and derivatives."""
 
 import pickle
 
@@ -30,7 +30,7 @@ TURN = 0.3
 ROUND = Table("round", (-0.449, 0.02), radius=0.5)
 SQUARE = Table("rectangle", (-0.45, 0.015), size=(1.0, 0.13))
 TABLES = {"round": ROUND, "rectangle": SQUARE}
-"""The block of `push_over` comes to lie over the rim of each, and stays."""
+"""The block of `push_over` ends over the rim of each, and stays there."""
 
 
 def push_over(duration: float = 0.5) -> Push:
@@ -55,13 +55,13 @@ def loads(grid: CellGrid, mass: FloatArray, pose: FloatArray, table: Table) -> F
 
 
 def share(distance: FloatArray, width: float) -> FloatArray:
-    """Share of a cell whose centre lies so far inside the rim."""
+    """Share of a cell whose centre lies at this distance inside the rim."""
     t = np.clip(0.5 + distance / (np.sqrt(5 / 3) * width), 0.0, 1.0)
     return t**2 * (3 - 2 * t)
 
 
 def test_a_beam_on_two_supports() -> None:
-    """Two cells carry a third that hangs over: what each carries follows from the balance of moments."""
+    """Two cells carry a third that hangs over; the balance of moments gives the load of each."""
     grid, mass = bar([-0.1, 0.0, 0.06]), np.array([0.3, 0.2, 0.25])
     for table in (Table("rectangle", (-0.47, 0.0), size=(1.0, 1.0)), Table("round", (-4.97, 0), radius=5.0)):
         found = loads(grid, mass, np.zeros(3), table)
@@ -70,7 +70,7 @@ def test_a_beam_on_two_supports() -> None:
 
 
 def test_what_hangs_over_lifts_the_far_end() -> None:
-    """Heavy overhang: the cell at the far end would have to pull, and is lifted instead; the others hold."""
+    """With a heavy overhang the cell at the far end would have to pull, and lifts off; the others hold."""
     grid, mass = bar([-0.1, -0.06, 0.0, 0.05]), np.array([0.1, 0.3, 0.2, 0.35])
     found = loads(grid, mass, np.zeros(3), Table("rectangle", (-0.48, 0.0), size=(1.0, 1.0)))
     center = mass @ grid.centers[:, 0] / mass.sum()
@@ -81,7 +81,7 @@ def test_what_hangs_over_lifts_the_far_end() -> None:
 
 @st.composite
 def lying(draw: st.DrawFn) -> tuple[CellGrid, FloatArray, FloatArray, Table]:
-    """An object, its masses, from even to a thousand to one, a pose and a table whose rim is near."""
+    """An object, its masses in ratios up to a thousand to one, a pose, and a table whose rim is near."""
     grid = draw(st.sampled_from([rectangle(8, 5, 0.02), l_shape(0.02), rectangle(12, 1, 0.02), BLOCK]))
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     mass = 0.01 * np.exp(draw(st.sampled_from([0.0, 1.0, 3.5])) * rng.uniform(-1, 1, len(grid)))
@@ -100,7 +100,7 @@ def lying(draw: st.DrawFn) -> tuple[CellGrid, FloatArray, FloatArray, Table]:
 
 
 def inside(grid: CellGrid, pose: FloatArray, table: Table) -> list[FloatArray]:
-    """Distances of the cells' centres to the rim, one array for each direction that counts."""
+    """Distances of the cells' centres from the rim, one array for each relevant direction."""
     off = placed(grid.centers, pose) - np.asarray(table.center)
     if table.radius is not None:
         return [(table.radius**2 - (off**2).sum(axis=1)) / (2 * table.radius)]
@@ -111,7 +111,7 @@ def inside(grid: CellGrid, pose: FloatArray, table: Table) -> list[FloatArray]:
 @settings(max_examples=150, deadline=None)
 @given(lying())
 def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, FloatArray, Table]) -> None:
-    """Sum and moments are kept, no cell pulls, none on air carries, and pressed cells lie on a plane."""
+    """Sum and moments are kept; cells never pull, carry nothing off the table, and sink in by a plane."""
     grid, mass, pose, table = case
     center = mass @ grid.centers / mass.sum()
     found = loads(grid, mass, pose, table)
@@ -172,7 +172,7 @@ def test_a_rim_far_away_changes_no_bit() -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_the_rim_is_felt(name: str) -> None:
-    """The push really goes where it matters, and the object stays on the table."""
+    """The push goes over the rim far enough to matter, and the object stays on the table."""
     plain = Slider(BLOCK, RADIUS).rollout(plain_maps(), [push_over()])
     out = Slider(BLOCK, RADIUS, table=TABLES[name]).rollout(plain_maps(), [push_over()])
     assert np.abs(out.poses - plain.poses).max() > 1e-4
@@ -205,7 +205,7 @@ STEPS = {"mass": 3e-6, "mu": 1e-5, "mu_finger": 1e-5, "place": 3e-7, "angle": 3e
     ids=lambda names: " ".join(names) or "plain",
 )
 def test_derivatives_through_the_rim(names: tuple[str, ...], table: str) -> None:
-    """Central differences of poses and forces by all that a rollout depends on."""
+    """Central differences of poses and forces with respect to all inputs of a rollout."""
     values = np.concatenate([np.zeros(0), *(SHOWN[name] for name in names)])
     slider = Slider(BLOCK, RADIUS, effects=[EFFECTS[name] for name in names], table=TABLES[table])
     maps, push = with_values(plain_maps(), values) if names else plain_maps(), push_over()
@@ -263,7 +263,7 @@ def test_derivatives_of_a_slide_from_the_rim_to_the_middle(names: tuple[str, ...
 
 
 def test_derivatives_of_pushes_that_stay_and_that_come_near() -> None:
-    """Many together as each alone; those that stay have no columns by mass, and zeros among others."""
+    """Joint and separate rollouts agree; pushes far from the rim have no mass columns, or zeros there."""
     slider, maps = Slider(BLOCK, RADIUS, table=ROUND), plain_maps()
     away = push_over()
     inner = finger_push(away.tip - [0.3, 0.0], away.h, start_pose=away.start_pose - [0.3, 0, 0])
@@ -302,7 +302,7 @@ def test_steps_end_where_the_rollout_ends(names: tuple[str, ...], table: str) ->
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_moved_world_changes_nothing(name: str) -> None:
-    """Object, finger and table moved together: the same motion, moved."""
+    """Moving object, finger and table together moves the motion with them."""
     slider, maps, push = Slider(BLOCK, RADIUS, table=TABLES[name]), plain_maps(), push_over()
     frame = np.array([0.3, -0.2, 0.7])
     moved = Push(push.h, placed(push.tip, frame), compose(frame, push.start_pose))
@@ -324,7 +324,7 @@ def test_a_moved_world_changes_nothing(name: str) -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_tipping_is_on_record(name: str) -> None:
-    """From when the centre of mass is beyond the rim; loads and poses stay finite."""
+    """Tipping begins when the centre of mass passes the rim; loads and poses stay finite."""
     slider, maps, push = Slider(BLOCK, RADIUS, table=TABLES[name]), plain_maps(), push_over()
     push = Push(0.005, np.full((41, 2), np.nan), push.start_pose, np.array([1.0, 0.2, 1.0]))
     out = slider.rollout(maps, [push], sensitivities=True)
@@ -342,7 +342,7 @@ def test_tipping_is_on_record(name: str) -> None:
 
 
 def test_a_concave_object_tips_over_the_table() -> None:
-    """The centre of mass of an L lies between its arms, over the table, and only one arm is carried."""
+    """The centre of mass of an L lies between its arms, over the table, which carries only one arm."""
     grid = l_shape(0.02)
     mass = np.where((grid.centers[:, 1] > 0.15) | (grid.centers[:, 0] > 0.13), 0.2, 0.001)
     slider = Slider(grid, RADIUS, table=Table("rectangle", (0.52, 0.0), size=(1.0, 1.0)))
