@@ -234,5 +234,5 @@ def check_request(dataset: PushDataset, hypotheses: int) -> None:
         raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
     if not dataset.fit_trials:
         raise DatasetError(
-            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
+            f"dataset {dataset.name} has no push with the role fit; set the role of at least one push to fit"
         )
