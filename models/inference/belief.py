@@ -33,7 +33,7 @@ LARGEST_FILE = 2**29
 END_ERRORS = "end_errors"
 """Under this name a belief keeps what `cross_validation.end_errors` says of the pushes that taught it."""
 
-_ANEW = "`slipmap identify` or `slipmap fit` writes it anew"
+_ANEW = "write it again with `slipmap identify` or `slipmap fit`"
 
 _DAMAGE = (
     OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, EOFError, OverflowError,
@@ -100,13 +100,13 @@ class Belief:
         wanted = sum(len(effect.parameters) for effect in self.effects)
         if self.maps.effects.shape[1] != wanted:
             raise BeliefError(
-                f"belief: maps with {self.maps.effects.shape[1]} effect parameters, its effects have {wanted}"
+                f"belief: the maps have {self.maps.effects.shape[1]} effect parameters, the effects {wanted}"
             )
         p = np.asarray(self.probability, dtype=float)
         numbers = p.shape == (len(self.maps),) and np.isfinite(p).all()
         if not numbers or (p < 0).any() or abs(p.sum() - 1) > 1e-6:
             raise BeliefError(
-                "belief: probabilities must be one number a hypothesis, none negative, summing to 1"
+                "belief: probabilities must be one non-negative number per hypothesis and sum to 1"
             )
         object.__setattr__(self, "probability", p)
 
@@ -253,10 +253,10 @@ class Belief:
         if path.is_dir():
             inside = sorted(path.glob("*.npz"))
             hint = f"; did you mean {inside[0]}?" if inside else ""
-            raise BeliefError(f"{path} is a folder, a belief is a file{hint}")
+            raise BeliefError(f"{path} is a folder, but a belief is a file{hint}")
         if not path.is_file():
             raise BeliefError(
-                f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"
+                f"there is no belief file {path}; make one with `slipmap identify DATASET -o {path.name}`"
             )
         if not zipfile.is_zipfile(path):
             raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive; {_ANEW}")
@@ -264,11 +264,13 @@ class Belief:
             check_archive(path, LARGEST_FILE)
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
-                    raise BeliefError(f"{path} is not a belief file: it has no description in it; {_ANEW}")
+                    raise BeliefError(f"{path} is not a belief file: it contains no description; {_ANEW}")
                 meta = json.loads(str(archive["meta"]))
                 if not isinstance(meta, dict) or meta.get("format") != FORMAT:
                     found = meta.get("format") if isinstance(meta, dict) else None
-                    raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}; {_ANEW}")
+                    raise BeliefError(
+                        f"{path} has format {found!r}, but this version reads {FORMAT!r}; {_ANEW}"
+                    )
                 holes = [f"hole_{i}" for i in range(int(meta["holes"]))]
                 carried = [str(name) for name in meta.get("effects", [])]
                 names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability", *holes]

@@ -71,7 +71,7 @@ class _Seen:
         """A reason why pushes leave something open, unless it is that the model explains them badly."""
         if self.missed < 0.04:
             return reason
-        return f"the model itself is off by {100 * self.missed:.0f} % of the way"
+        return f"the model error itself is {100 * self.missed:.0f} % of the distance moved"
 
 
 def quantities(
@@ -131,7 +131,7 @@ def effect_quantities(
         scatter = float(belief.probability @ (values - belief.probability @ values) ** 2)
         more = np.sqrt(max(float(deviation) ** 2 - scatter, 0.0))
         middle, low, high = interval(values, belief.probability, more=more)
-        reason = "the pushes pin it down, if it is there"
+        reason = "the pushes determine it, if the effect is present"
         if not shown:
             reason = "left open by these pushes; the prior decides"
         low, high = max(low, float(parameter.low)), min(high, float(parameter.high))
@@ -180,25 +180,27 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         return second - (sx**2 + sy**2) / m
 
     no_force = (
-        "no force was measured and the finger's motion is given: in slow motion, scaling all friction leaves "
-        "every pose unchanged"
+        "no force was measured: in slow motion along a given finger path, scaling all friction leaves every"
+        " pose unchanged"
     )
     if seen.contradicted:
         no_force = (
-            "the measured force contradicts the contact and was left out: put its frame right, or learn with"
+            "the measured force contradicts the contact and was left out: correct its frame, or learn with"
             " the effect force_frame"
         )
-    weak_force = "the forces that count (steady pushing) are too few"
+    weak_force = "too few forces were measured in steady pushing"
     slow = seen.unless_missed(
-        "what slid on its own did so too short or too much alike"
+        "the object slid freely for too short a time, or too similarly each time"
         if seen.coasted
-        else "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
+        else "motion is so slow that friction outweighs inertia; coasting or a fast start would show it"
     )
     hardly_turned = "the object hardly turns in these pushes"
-    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "it turns in these pushes too much alike"
-    no_axis = "no push turns the object about this direction"
+    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn it too similarly"
+    no_axis = "no push turns the object in a way that shows this coordinate"
     no_contact = (
-        "the contact sticks in all pushes, or slides in all alike" if seen.touched else "no finger touches it"
+        "the contact sticks in all pushes, or slides the same way in all"
+        if seen.touched
+        else "no finger touches the object"
     )
     measures = [
         _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
@@ -206,13 +208,13 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                  weak_force if seen.forces else no_force),
         *(
             _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
-                     "the way the object turns when pushed", seen.unless_missed(no_axis))
+                     "how the object turns when pushed", seen.unless_missed(no_axis))
             for i, axis in enumerate("xy")
         ),
         _Measure("friction arm (mean distance from its centre)", "m", partial(friction_arms, slider.grid),
                  True, "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
-                 "weighed beforehand" if weighed else "acceleration against measured force", slow,
+                 "weighed beforehand" if weighed else "acceleration under a measured force", slow,
                  given=weighed),
         *(
             _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
@@ -220,7 +222,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
             for i, axis in enumerate("xy")
         ),
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
-                 "turning motion that speeds up or coasts", slow),
+                 "rotation that speeds up or coasts", slow),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
                  "the contact slides in some pushes", no_contact),
     ]  # fmt: skip

@@ -83,7 +83,7 @@ def identify(
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if effects and method == "paper":
-        raise ValueError("the method paper knows no effects; use gauss-newton")
+        raise ValueError("the method paper does not support effects; use gauss-newton")
     check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or silent

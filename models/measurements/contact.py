@@ -205,7 +205,7 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
     for angle in (90, -90, 180):  # that is taken off
         turn = np.array([0.0, 0.0, np.radians(angle)])
         yield Cause(
-            f"is theta, or the outline, turned by {-angle if abs(angle) == 90 else 180}°?",
+            f"is theta, or the outline, rotated by {-angle if abs(angle) == 90 else 180}°?",
             "turn",
             posed(turn.__add__),
         )
@@ -215,22 +215,22 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
         if less < _MOST_OF_RADIUS * setup.finger_radius:
             yield Cause(
                 f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
-                f" {1e3 * setup.finger_radius:.1f} mm, or the outline too large?",
+                f" {1e3 * setup.finger_radius:.1f} mm, or is the outline too large?",
                 "radius",
                 lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
             )
     shift = _fitted(setup, pushes, 2, _shifted_tip)
     yield Cause(
-        f"tip_offset {_millimetres(shift)} mm, which the effect tracker_shift explains: is it the finger's"
-        " point, not the flange's or the tool's, that was recorded?",
+        f"tip_offset {_millimetres(shift)} mm, which the effect tracker_shift explains; was the fingertip"
+        " recorded, not the flange or the tool?",
         "tip_offset",
         lambda setup, rows: _shifted_tip(setup, rows, shift),
     )
     offset = _fitted(setup, pushes, 3, _offset_frame)
     turned = round(float(np.degrees(offset[2])), 1) + 0.0
     yield Cause(
-        f"the tracked frame sits at {_millimetres(offset[:2])} mm in the object's, turned by {turned:.1f}°,"
-        " which the effect tracker_offset explains: is the outline given in the tracked frame?",
+        f"the tracked frame lies at {_millimetres(offset[:2])} mm in the object frame, rotated by"
+        f" {turned:.1f}°, which the effect tracker_offset explains; is the outline in the tracked frame?",
         "tracker_offset",
         lambda setup, rows: _offset_frame(setup, rows, offset),
     )
@@ -310,17 +310,17 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
     if best is None and wrong < 0.5:
         return None
     said = (
-        f"the force points {np.degrees(np.median(np.abs(off))):.0f}° off the contact's normal in the median,"
-        f" and more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
+        f"the force points a median of {np.degrees(np.median(np.abs(off))):.0f}° off the contact normal, and"
+        f" more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
     )
     if best is None:
         return (
-            f"{said}no turn or mirroring mends it; ft_wrench is the force of the finger on the object in the"
-            " world frame, is it in the sensor's or the tool's?"
+            f"{said}no rotation or reflection corrects it; ft_wrench must be the force of the finger on the"
+            " object in the world frame, is it in the sensor's or the tool's?"
         )
     return (
-        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench is the force of the finger on the object in"
-        " the world frame"
+        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench must be the force of the finger on the object"
+        " in the world frame"
     )
 
 
@@ -328,16 +328,16 @@ def _other_frames(
     force: FloatArray, normal: FloatArray, theta: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     """What may have been done to forces, the likeliest first, and their directions without it, rad."""
-    yield "with its sign turned, as the force of the object on the finger is,", force + np.pi
+    yield "with its sign reversed, as if it were the force of the object on the finger,", force + np.pi
     turn = -middle_angle(angle_between(force, normal))
     degrees = 15.0 * round(float(np.degrees(angle_between(turn, 0.0))) / 15.0)
-    yield f"turned by about {degrees:.0f}°, as from the sensor's or the tool's frame,", force + turn
+    yield f"rotated by about {degrees:.0f}°, as if from the sensor's or the tool's frame,", force + turn
     for words, sum_ in (
         ("fx negated", np.pi), ("fy negated", 0.0), ("fx and fy swapped", 0.5 * np.pi),
         ("fx and fy swapped and negated", -0.5 * np.pi),
     ):  # fmt: skip
         yield f"with {words}", sum_ - force
-    yield "turned by theta, as from the object's frame,", force + theta
+    yield "rotated by theta, as if from the object frame,", force + theta
 
 
 def middle_angle(angles: FloatArray) -> float:

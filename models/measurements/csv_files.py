@@ -56,7 +56,7 @@ class CsvColumns(NamedTuple):
         required, optional = (
             ", ".join(self.names[name] for name in group) for group in (_REQUIRED, _OPTIONAL)
         )
-        return f"expected are {required} and, where force was measured, {optional}"
+        return f"expected columns are {required} and, if force was measured, {optional}"
 
 
 STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _UNITS})
@@ -79,11 +79,11 @@ def parse_columns(value: object, where: str) -> CsvColumns:
     for name, entry in parsing.mapping(value, where).items():
         place = f"{where}.{name}"
         if name not in _UNITS:
-            raise DatasetError(f"{place}: there is no such quantity; there are {', '.join(_UNITS)}")
+            raise DatasetError(f"{place}: unknown quantity; choose from {', '.join(_UNITS)}")
         told = {"column": entry} if isinstance(entry, str) else parsing.mapping(entry, place)
         for key in told:
             if key not in ("column", "unit"):
-                raise DatasetError(f"{place}: {parsing.shown(key)} is unknown; there are column and unit")
+                raise DatasetError(f"{place}: unknown key {parsing.shown(key)}; the keys are column and unit")
         names[name] = parsing.text(told.get("column", name), f"{place}.column")
         unit = told.get("unit", next(iter(_UNITS[name])))
         if not isinstance(unit, str) or unit not in _UNITS[name]:
@@ -95,7 +95,7 @@ def parse_columns(value: object, where: str) -> CsvColumns:
         others = [other for other, same in names.items() if same == column and other != name]
         if others:
             raise DatasetError(
-                f"{where}: the column {parsing.shown(column)} cannot be {name} and {others[0]}"
+                f"{where}: the column {parsing.shown(column)} cannot be both {name} and {others[0]}"
             )
     return CsvColumns(names, factors)
 
@@ -184,7 +184,9 @@ def _table(content: bytes, where: str, columns: CsvColumns) -> _Table:
         if not cells:
             continue
         if len(cells) != len(header):
-            raise DatasetError(f"{where}, row {row}: has {len(cells)} cells, the header {len(header)}")
+            raise DatasetError(
+                f"{where}, row {row}: has {len(cells)} cells, but the header has {len(header)}"
+            )
         push = "" if push_place is None else parsing.push_label(cells[push_place])
         if push_place is not None and not push:
             raise DatasetError(
@@ -214,21 +216,21 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
         return
     if header[:1] == ["Format Version"] or "Take Name" in header:
         raise DatasetError(
-            f"{where}: this is an export of OptiTrack Motive, with several lines of header, quaternions and"
-            " often mm and Y up (then theta is the turn about Y, and y on the table is -Z). Write a table"
-            f" with one line of header: {columns.expected}"
+            f"{where}: this is an OptiTrack Motive export, with several header lines, quaternions and often"
+            " mm and Y up (then theta is the rotation about Y, and y on the table is -Z). Write a table with"
+            f" one header line: {columns.expected}"
         )
     if len(header) == 1:
         for sign, named in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
             if len(header[0].split(sign)) > 1:
                 raise DatasetError(
-                    f"{where}: its cells are parted by {named}, not by commas; `slipmap import` reads"
-                    f" it: slipmap import {where} --guess"
+                    f"{where}: its cells are separated by {named}, not commas; import it with"
+                    f" `slipmap import {where} --guess`"
                 )
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(
         f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
-        f" Other names and units are told under the key csv of the YAML file of --object{_further(header)}"
+        f" Declare other names and units under the key csv in the YAML file of --object{_further(header)}"
     )
 
 
@@ -238,10 +240,10 @@ def _further(header: list[str]) -> str:
     said = ""
     if {"qx", "qy", "qz", "qw"} <= ends or {"x", "y", "z", "w"} <= ends:
         said += (
-            ". Quaternions are not read: of an object that stays level theta = 2 atan2(qz, qw), up being z"
+            ". Quaternions are not read; for an object that stays level, theta = 2 atan2(qz, qw) with z up"
         )
     if ends & {"nanosec", "nsecs", "nsec"}:
-        said += ". Time is one column: sec + 1e-9 nanosec"
+        said += ". Time must be one column: sec + 1e-9 nanosec"
     return said
 
 

@@ -176,10 +176,10 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             if name == "object_pose" and not trial.ends_only and _longest_blind_motion(trial) > _GAP
         ]
         if rate < _SLOW_RATE:
-            advice = f"below {_SLOW_RATE:g} Hz touch and release are hardly seen; record faster"
+            advice = f"below {_SLOW_RATE:g} Hz, touch and release are hard to see; record at a higher rate"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         elif blind:
-            advice = f"the object moves unseen for more than {1e3 * _GAP:.0f} ms in {parsing.listed(blind)}"
+            advice = f"no pose for more than {1e3 * _GAP:.0f} ms of motion in {parsing.listed(blind)}"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         else:
             findings.append(Finding(f"rate of {words}", text, "good"))
@@ -228,7 +228,7 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
     if lags:
         middle, error = middle_of(lags)
         apart = abs(middle) * float(np.median(speed))
-        text = f"finger {_late(middle)} against the object, ± {1e3 * error:.1f} ms"
+        text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
         advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's"
         sure = abs(middle) > 3.0 * error and apart > _NOTABLE_LAG
         verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
@@ -236,7 +236,9 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
     if late:
         force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
         lag = lag_by_rises(late, force)
-        text = f"force {_late(lag.value)} against the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        text = (
+            f"force {_late(lag.value)} relative to the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        )
         sure = lag.sure and abs(lag.value) > _FORCE_LATE
         findings.append(
             Finding("clock of the force", text, "note" if sure else "good",
@@ -269,10 +271,13 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     deep = depth > limit
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
-        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while it pushes"
+        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while pushing"
     if deep.mean() > _WRONG_SHARE:
         said = next((text for text in dataset.warnings if "the finger goes" in text or "starts" in text), "")
-        advice = said or "is theta's sign, the frame, the clock, the finger's point or finger.radius right?"
+        advice = said or (
+            "check theta's sign, the frames, the clocks, which point of the finger was recorded, and"
+            " finger.radius"
+        )
         return [Finding("contact", f"{text}; too deep in {deep.sum()} of {len(rows)}", "wrong", advice)]
     if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
         return [Finding("contact", text, "note", "is finger.radius, or the outline, too small?")]
@@ -299,7 +304,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))
         size = float(np.hypot(*bias))
         matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
-        text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, where pushing takes {pushing:.2g} N"
+        text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, compared with {pushing:.2g} N while pushing"
         gone = [
             text.partition("ft_wrench: ")[2]
             for text in dataset.provenance
@@ -308,7 +313,8 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         if gone:
             text += f"; on import: {gone[0]}{f', and {len(gone) - 1} more' if len(gone) > 1 else ''}"
         advice = (
-            "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
+            "subtract it with ft_wrench.offset in a setup.yaml, or keep rows before the touch so that slipmap"
+            " import can"
         )
         verdict: Verdict = "wrong" if matters else "note" if gone else "good"
         findings.append(Finding("force at rest", text, verdict, advice if matters else ""))
@@ -316,7 +322,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     if len(force) >= 10:
         off = angle_between(force, normal)
         middle = float(np.median(np.abs(off)))
-        text = f"{np.degrees(middle):.0f}° off the contact's normal in the median of {len(force)} rows"
+        text = f"median {np.degrees(middle):.0f}° off the contact normal over {len(force)} rows"
         complaint = force_complaint(dataset, rows)
         if complaint is not None:
             findings.append(Finding("force's direction", text, "wrong", complaint))
@@ -324,7 +330,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
             unusual = middle > _OFF_NORMAL
             findings.append(
                 Finding("force's direction", text, "note" if unusual else "good",
-                        "is its frame turned? Fingers seldom have so much friction" if unusual else "")
+                        "is its frame rotated? Fingers seldom have this much friction" if unusual else "")
             )  # fmt: skip
     return findings
 
@@ -399,39 +405,39 @@ def _quantities(seen: Coverage) -> list[Told]:
         Told("total friction", seen.forces or (seen.coasting > 0 and seen.mass_known),
              "force in steady sliding" if seen.forces else "needs force, or a weighed object that coasts"),
         Told("centre of friction", around,
-             f"{seen.arcs} of 8 parts of the outline touched, {np.degrees(seen.turned):.0f}° turned at most"),
+             f"{seen.arcs} of 8 parts of the outline touched, turned {np.degrees(seen.turned):.0f}° at most"),
         Told("friction arm", seen.turned > np.radians(10.0), "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
-             "weighed beforehand" if seen.mass_known else "needs force with speed or coasting"),
+             "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
         Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
              f"fastest {1e3 * seen.fastest:.0f} mm/s, {seen.coasting} pushes coast"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
-        Told("shares of parts of the object", seen.arcs >= 5 and around, "touches all around"),
+        Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip
 
 
 _Needs = Callable[[Coverage], bool]
 EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
-    "viscous_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
-    "stribeck_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
+    "viscous_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds a factor of two apart"),
+    "stribeck_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds a factor of two apart"),
     "anisotropic_table": (lambda c: c.table_octants >= 4, "four directions on the table"),
-    "anisotropic_object": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "anisotropic_object": (lambda c: c.object_octants >= 4, "four directions in the object frame"),
     "table_tilt": (lambda c: c.table_octants >= 4, "opposite directions on the table"),
-    "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
-    "tether": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
+    "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
+    "tether": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
     "sensor_latency": (lambda c: c.speeds_differ or c.fastest > _FAST, "fast pushes, or two speeds"),
     "tracker_offset": (lambda c: c.turned > np.radians(30.0) or c.arcs >= 3, "three sides, or large turns"),
-    "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "long ways"),
+    "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "two sides, and long travel"),
     "friction_drift": (lambda c: c.pushes >= 8, "eight pushes in the order of the experiment"),
     "finger_compliance": (lambda c: c.forces, "force"),
     "loose_mass": (lambda c: c.fastest > _FAST or c.coasting > 0, "fast starts and stops"),
     "load_transfer": (lambda c: c.fastest > _FAST or c.coasting > 0 or c.arcs >= 4, "four sides, or braking"),
-    "skate": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "skate": (lambda c: c.object_octants >= 4, "four directions in the object frame"),
     "impulse_friction": (lambda c: c.table_octants >= 4, "four headings on the table"),
     "friction_diamond": (lambda c: c.table_octants >= 4, "four directions on the table"),
     "friction_square": (lambda c: c.table_octants >= 4, "four directions on the table"),
-    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
-    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
+    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
+    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
     "tracker_shift": (lambda c: c.arcs >= 3, "three sides"),
     "force_frame": (lambda c: c.forces and c.arcs >= 2, "force on two sides"),
     "force_bias": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
@@ -446,19 +452,17 @@ def _advice(seen: Coverage) -> list[str]:
     wanted = []
     if seen.pushes < 6:
         more = 6 - seen.pushes
-        wanted.append(f"{more} more push{'es' * (more > 1)}: six or more leave some to judge with")
+        wanted.append(f"{more} more push{'es' * (more > 1)}: with six or more, some can be held out")
     if seen.arcs < 5:
-        wanted.append(
-            f"pushes at parts of the outline that were not touched ({_ARCS - seen.arcs} of {_ARCS})"
-        )
+        wanted.append(f"pushes on parts of the outline not touched yet ({_ARCS - seen.arcs} of {_ARCS})")
     if seen.turned < np.radians(10.0):
-        wanted.append("pushes beside the middle, so that the object turns by 30° and more")
+        wanted.append("off-centre pushes that turn the object by 30° or more")
     if seen.table_octants < 4:
-        wanted.append("pushes in other directions on the table, opposite ones among them")
+        wanted.append("pushes in other directions on the table, including opposite ones")
     if not seen.speeds_differ:
         wanted.append("two pushes twice as fast as the others")
     if seen.fastest < _FAST and not seen.coasting and not seen.mass_known:
         wanted.append("a fast push that lets the object coast, or object.mass from a scale")
     if not seen.forces:
-        wanted.append("force, if there is a sensor: without it total friction stays open")
+        wanted.append("force, if you have a sensor: without it the total friction stays open")
     return wanted

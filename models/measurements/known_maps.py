@@ -28,7 +28,7 @@ _SPREAD = Number(
     "1",
     LEAST_SPREAD,
     1.0,
-    "{where}: a relative standard deviation lies in {low:g} to {high:g}, got {value:g}",
+    "{where}: a relative standard deviation must lie between {low:g} and {high:g}, got {value:g}",
 )
 
 
@@ -64,7 +64,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
         _lay(region, maps, grid, usual, f"{where}: regions, row {row}", warnings)
     rubbing = fields.get("finger_friction")
     if isinstance(rubbing, dict) and "ratios" in rubbing:
-        raise DatasetError(f"{where}: finger_friction is one number, of which there are no ratios")
+        raise DatasetError(f"{where}: finger_friction is a single number and cannot be given as ratios")
     single = rubbing.get("value") if isinstance(rubbing, dict) else rubbing
     if single is not None and (isinstance(single, bool) or not isinstance(single, int | float)):
         raise DatasetError(f"{where}: finger_friction must be a number, got {parsing.shown(single)}")
@@ -73,8 +73,8 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     if not named and np.isnan(finger.values[0]):
         unknown = f" ({'; '.join(warnings)})" if warnings else ""
         raise DatasetError(
-            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions, as keys"
-            f" at its top{unknown}"
+            f"{where}: states nothing known; give mass, friction, finger_friction or regions as top-level"
+            f" keys{unknown}"
         )
     arguments: dict[str, Any] = {}
     for name, one in named.items():
@@ -123,7 +123,7 @@ class _Map:
         fields: dict[str, Any] = {"value": value}
         if isinstance(value, dict):
             fields = parsing.section(value, ("value", "spread", "ratios"), where, warnings)
-            parsing.required(fields, "value", where, "say what is known")
+            parsing.required(fields, "value", where, "give what is known")
         value, spread, ratios = fields["value"], fields.get("spread", usual), fields.get("ratios", False)
         if not isinstance(ratios, bool):
             raise DatasetError(f"{where}.ratios: must be true or false, got {parsing.shown(ratios)}")
@@ -132,7 +132,7 @@ class _Map:
         elif name == "mass" and value is not None and not isinstance(value, list):
             raise DatasetError(
                 f"{where}: must be `uniform` or a list of every cell's mass in kg, got"
-                f" {parsing.shown(value)}; what the object weighs is object.mass"
+                f" {parsing.shown(value)}; the object's total mass belongs in object.mass"
             )
         spreads = [_SPREAD.read(one, f"{where}.spread") for one in _each(spread, cells, f"{where}.spread")]
         values = [
@@ -146,8 +146,8 @@ def _each(value: object, cells: int, where: str) -> list[Any]:
     values = value if isinstance(value, list) else [value] * cells
     if len(values) != cells:
         raise DatasetError(
-            f"{where}: has {len(values)} values for {cells} cells; give one for all, or one for each in the"
-            " order of object.cells.centers"
+            f"{where}: has {len(values)} values for {cells} cells; give one for all cells, or one for each in"
+            " the order of object.cells.centers"
         )
     return values
 
@@ -161,13 +161,13 @@ def _lay(
     spread = _SPREAD.read(region.get("spread", usual), f"{where}.spread")
     given = [name for name in _NUMBERS if region.get(name) is not None]
     if not given:
-        raise DatasetError(f"{where}: says nothing that is known; give its mass (kg) or friction")
+        raise DatasetError(f"{where}: states nothing known; give its mass (kg) or friction")
     for name in given:
         number = _NUMBERS[name].read(region[name], f"{where}.{name}")
         if maps[name].ratios:
             raise DatasetError(
-                f"{where}.{name}: cannot lie over a {name} of which only ratios are known; give every cell's"
-                f" {name} in numbers, or leave it out of one of the two"
+                f"{where}.{name}: cannot be combined with a {name} map that is given as ratios; give every"
+                f" cell's {name} as a number, or leave {name} out of one of the two"
             )
         maps[name].values[cells] = number / len(cells) if name == "mass" else number
         maps[name].spread[cells] = spread
@@ -184,7 +184,7 @@ def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[st
     else:
         corners = parsing.table(region["polygon"], 2, f"{where}.polygon")
         if len(corners) < 3 or not np.isfinite(corners).all():
-            raise DatasetError(f"{where}.polygon: needs three corners or more, each two finite numbers")
+            raise DatasetError(f"{where}.polygon: needs at least three corners, each of two finite numbers")
         shape = shapely.Polygon(corners)
         if not shape.is_valid:
             raise DatasetError(f"{where}.polygon: crosses itself; give its corners in order")
@@ -194,5 +194,5 @@ def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[st
     distance = np.hypot(*(grid.centers - shape.centroid.coords[0]).T)
     nearest = int(np.argmin(distance))
     if distance[nearest] > grid.width:
-        raise DatasetError(f"{where}: lies off the object; give it in the object frame, m")
+        raise DatasetError(f"{where}: lies outside the object; give it in the object frame, m")
     return np.array([nearest])

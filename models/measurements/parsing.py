@@ -56,7 +56,7 @@ def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result = dict(pairs)
     if len(result) < len(pairs):
         name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
-        raise ValueError(f"the key {shown(name)} stands there twice")
+        raise ValueError(f"the key {shown(name)} appears twice")
     return result
 
 
@@ -110,7 +110,7 @@ class _PlainLoader(_Loader):
                 if key.value in names:
                     line = key.start_mark.line + 1
                     raise yaml.constructor.ConstructorError(
-                        problem=f"the key {shown(key.value)} stands there twice, again in line {line}"
+                        problem=f"the key {shown(key.value)} appears twice, again in line {line}"
                     )
                 names.add(key.value)
         return super().construct_mapping(node, deep)
@@ -220,7 +220,7 @@ class Number(NamedTuple):
     low: float = 0.0
     high: float = math.inf
     # what is said where it lies beyond them; a format of the attributes, `where` and `value`
-    beyond: str = "{where}: lies in {low:g} to {high:g} {unit}, got {value:g}"
+    beyond: str = "{where}: must lie between {low:g} and {high:g} {unit}, got {value:g}"
     or_zero: bool = False  # whether it may be 0; otherwise only positive numbers are allowed
 
     def read(self, value: object, where: str) -> float:
@@ -273,7 +273,7 @@ def _as_float(value: int | float, where: str) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise DatasetError(f"{where}: {shown(value)} is beyond what a measured number can be") from None
+        raise DatasetError(f"{where}: {shown(value)} is too large for a measured number") from None
 
 
 class _Short(reprlib.Repr):
@@ -325,5 +325,5 @@ def number_in(cell: str, where: str) -> float:
         return float(cell)
     except ValueError:
         raise DatasetError(
-            f"{where}: {shown(cell)} is no number; leave the cell empty where there is none"
+            f"{where}: {shown(cell)} is not a number; leave the cell empty if nothing was measured"
         ) from None

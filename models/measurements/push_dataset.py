@@ -64,10 +64,12 @@ class Channel:
         time = np.ascontiguousarray(self.time, dtype=float)
         values = np.ascontiguousarray(self.values, dtype=float)
         if time.ndim != 1 or values.ndim != 2 or len(time) != len(values) or len(time) == 0:
-            raise DatasetError(f"channel: needs T >= 1 times and T rows, got {time.shape} and {values.shape}")
+            raise DatasetError(
+                f"channel: needs T >= 1 times and T rows, got the shapes {time.shape} and {values.shape}"
+            )
         bad = np.flatnonzero(~(np.isfinite(time) & np.isfinite(values).all(axis=1)))
         if len(bad):
-            raise DatasetError(f"channel, row {bad[0]}: every number must be finite; leave such rows out")
+            raise DatasetError(f"channel, row {bad[0]}: every number must be finite; leave this row out")
         late = np.flatnonzero(np.diff(time) <= 0)
         if len(late):
             raise DatasetError(f"channel, row {late[0] + 1}: time must increase from row to row")
@@ -113,11 +115,11 @@ class Trial:
         if self.role not in ("fit", "heldout"):
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
         if len(self.object_pose.time) < 2:
-            raise DatasetError(f"{self.name}: object_pose needs two rows or more, a first and a last pose")
+            raise DatasetError(f"{self.name}: object_pose needs at least two rows, a first and a last pose")
         for what, channel in self.channels.items():
             columns, found = len(CHANNELS[what]), channel.values.shape[1]
             if found != columns:
-                raise DatasetError(f"{self.name}: {what} needs {columns} columns beside time, has {found}")
+                raise DatasetError(f"{self.name}: {what} needs {columns} columns besides time, has {found}")
 
     @property
     def channels(self) -> dict[str, Channel]:
@@ -251,7 +253,7 @@ class KnownMaps:
             object.__setattr__(self, name, values)
             object.__setattr__(self, f"{name}_spread", spread)
         if any(len(shape) != 1 or shape != shapes[0] for shape in shapes):
-            raise DatasetError(f"known maps: mass and friction need one value a cell, got shapes {shapes}")
+            raise DatasetError(f"known maps: mass and friction need one value per cell, got shapes {shapes}")
         if self.finger_friction is not None:
             self._check("finger_friction", np.array([self.finger_friction]), np.array([self.finger_spread]))
 
@@ -261,7 +263,8 @@ class KnownMaps:
             raise DatasetError(f"known maps: {name} must be positive and finite, NaN where it is not known")
         if not ((spread >= LEAST_SPREAD) & (spread <= 1.0)).all():
             raise DatasetError(
-                f"known maps: a spread of {name} lies in {LEAST_SPREAD:g} to 1 (relative standard deviation)"
+                f"known maps: a spread of {name} must lie between {LEAST_SPREAD:g} and 1 (relative standard"
+                " deviation)"
             )
 
     @property
@@ -345,7 +348,7 @@ class PushDataset(Setup):
         if self.known is not None:
             self.known.check(len(self.grid), self.mass)
         if not self.trials:
-            raise DatasetError(f"dataset {self.name}: there are no trials; one push is the least")
+            raise DatasetError(f"dataset {self.name}: there are no trials; at least one push is needed")
         name, uses = Counter(trial.name for trial in self.trials).most_common(1)[0]
         if uses > 1:
             raise DatasetError(f"dataset {self.name}: {uses} trials are called {name}; names must differ")
@@ -369,7 +372,7 @@ class PushDataset(Setup):
         available = len(self.fit_trials)
         if not 1 <= count <= available:
             raise ValueError(
-                f"dataset {self.name}: {count} fit trials wanted, it has {available}; take 1 to {available}"
+                f"dataset {self.name}: cannot take {count} of {available} fit trials; take 1 to {available}"
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))

@@ -102,14 +102,14 @@ def _read(
     source = Path(path)
     try:
         if not source.exists():
-            raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {_KINDS}")
+            raise DatasetError(f"{str(source)!r}: there is no such file or folder; expected {_KINDS}")
         is_folder = source.is_dir()
         description = source / DESCRIPTION_FILE if is_folder else source
         if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
             return _read_files(source, object_name, progress, keep_all)
         if object_name is not None:
             raise DatasetError(
-                f"{description}: a push dataset describes its object itself; name none beside it"
+                f"{description}: a push dataset describes its own object; leave out the object's name"
             )
         return _read_push_format(description, progress, keep_all)
     except OSError as error:
@@ -122,9 +122,9 @@ def check_format(document: dict[str, Any], where: str) -> None:
     Raises:
         DatasetError: with the format that this project reads.
     """
-    found = parsing.required(document, "format", where, f"a push dataset says `format: {FORMAT}`")
+    found = parsing.required(document, "format", where, f"a push dataset needs `format: {FORMAT}`")
     if found != FORMAT:
-        raise DatasetError(f"{where}: format is {parsing.shown(found)}; only {FORMAT} can be read")
+        raise DatasetError(f"{where}: format is {parsing.shown(found)}, but only {FORMAT} can be read")
 
 
 def _assembled(
@@ -258,7 +258,7 @@ def _inside(folder: Path, name: str, where: str) -> Path:
         path = (folder / name).resolve()
         root = folder.resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise DatasetError(f"{where}: {parsing.shown(name)} is no usable file name ({error})") from None
+        raise DatasetError(f"{where}: {parsing.shown(name)} is not a usable file name ({error})") from None
     if Path(name).is_absolute() or not path.is_relative_to(root):
         raise DatasetError(
             f"{where}: {parsing.shown(name)} lies outside the dataset's folder; trial files belong inside it"
@@ -290,7 +290,7 @@ def _read_files(
         warnings += mit_files.surface_warnings(files)
         read = _one(mit_files.read_mit_trial)
     else:
-        raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
+        raise DatasetError(f"{source}: this kind of file cannot be read; expected {_KINDS}")
     entries: list[Entry] = [(file.name, "fit") for file in files]
     return _assembled(
         setup, fingerprint, warnings, source, files[0].parent, entries, read, progress,
@@ -325,10 +325,10 @@ def _record_files(folder: Path) -> list[Path]:
         if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
-        raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
+        raise DatasetError(f"{folder}: contains no measurements; expected {_KINDS}")
     if len({_is(file, csv_files.CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
-            f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
+            f"{folder}: contains both CSV and MIT push files; put each kind into a separate folder"
         )
     return files
 
@@ -337,8 +337,8 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
     for folder in file.resolve().parents[:2]:
         if (folder / DESCRIPTION_FILE).exists():
             raise DatasetError(
-                f"{file}: belongs to the push dataset {folder}, where forces have the opposite sign of MIT"
-                " files; read that folder instead"
+                f"{file}: belongs to the push dataset {folder}, whose forces have the opposite sign to"
+                " those of MIT files; read that folder instead"
             )
 
 
@@ -352,14 +352,14 @@ def _setup(
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
-            f"{source}: says nothing of the object that was pushed; name with --object (in Python"
-            f" object_name) a shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML"
-            f" file with the keys object and finger of a {DESCRIPTION_FILE}"
+            f"{source}: does not say which object was pushed; give --object (in Python object_name) with a"
+            f" shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML file with the"
+            f" keys object and finger of a {DESCRIPTION_FILE}"
         )
     if not _is_description(chosen) and named is not None and named != chosen:
         mit_files.mit_shape(chosen, str(source))
         raise DatasetError(
-            f"{source}: the file names say shape={named}, not {chosen}; leave the object's name out"
+            f"{source}: the file names say shape={named}, not {chosen}; leave out the object's name"
         )
     document = object_document(chosen, fingerprint, str(source))
     where = chosen if _is_description(chosen) else str(source)

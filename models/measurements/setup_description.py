@@ -16,7 +16,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise", "known")
 
-_DEVIATION = "{where}: a standard deviation lies in 0 to {high:g}, got {value}"
+_DEVIATION = "{where}: a standard deviation must lie between 0 and {high:g}, got {value}"
 _THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
 _LENGTH = Number("m")
 _OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
@@ -59,7 +59,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     radius = _FINGER["radius"].read(finger.get("radius"), f"{where}: finger.radius")
     gravity = _GRAVITY.read(document.get("gravity", _STANDARD_GRAVITY), f"{where}: gravity")
     if not _NEAR_GRAVITY[0] <= gravity <= _NEAR_GRAVITY[1]:
-        warnings.append(f"{where}: gravity is {gravity:g} m/s²; 9.81 was to be expected")
+        warnings.append(f"{where}: gravity is {gravity:g} m/s²; expected about 9.81")
     name = parsing.text(document.get("name", default_name), f"{where}: name")
     description = parsing.text(document.get("description", ""), f"{where}: description")
     measured = _numbers(shape, _OBJECT, f"{where}: object")
@@ -168,13 +168,13 @@ def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
         )
     if len(outline) > 1 and np.array_equal(outline[0], outline[-1]):
         warnings.append(
-            f"{where}: the last corner repeats the first and is left out; the outline closes itself"
+            f"{where}: the last corner repeats the first and is left out; the outline closes by itself"
         )
         outline = outline[:-1]
     repeated = (outline == np.roll(outline, 1, axis=0)).all(axis=1)
     if len(outline) > 1 and repeated.any():
         first = int(np.flatnonzero(repeated)[0])
-        warnings.append(f"{where}, row {first}: the same corner as the one before; it is left out")
+        warnings.append(f"{where}, row {first}: repeats the corner before it and is left out")
         outline = outline[~repeated]
     _refuse_extent(outline, where)
     return outline
@@ -187,7 +187,7 @@ def _refuse_extent(points: FloatArray, where: str) -> None:
             f"{where}: reaches {extent:g} m from the object frame; lengths are in m, divide by 1000?"
         )
     if 0.0 < extent < _SMALLEST_EXTENT:
-        raise DatasetError(f"{where}: is only {extent:g} m large; lengths are in m, multiply by 1000?")
+        raise DatasetError(f"{where}: is only {extent:g} m across; lengths are in m, multiply by 1000?")
 
 
 def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:

@@ -53,10 +53,10 @@ _FRAME_WRONG = ("sign", "turn")
 """Kinds of causes by which the object's frame is wrong, which no effect explains."""
 
 _PULLS = (
-    "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger on the"
-    " object, is it given the other way round?"
+    "the force points against the finger's motion, as if it pulled; ft_wrench must be the force of the finger"
+    " on the object, is its sign reversed?"
 )
-_FORCED = "`keep: true` beside its file in dataset.yaml, or keep_all=True in Python, has it stay"
+_FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
 
 
 def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
@@ -113,8 +113,8 @@ def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> No
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:
         raise DatasetError(
-            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {longest:g} s;"
-            " times are in s, were these milliseconds? Cut a long recording into its pushes"
+            f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
+            " times must be in s, were these milliseconds? Cut a long recording into its pushes"
         )
 
 
@@ -147,7 +147,7 @@ def check_trials(
     """
     chosen = [trial for trial in trials if keep(trial) is not False]
     if not chosen:
-        raise DatasetError(f"{where}: every trial says `keep: false`; one push is the least")
+        raise DatasetError(f"{where}: every trial says `keep: false`; at least one push is needed")
     warnings = _copies(chosen, where)
     found: dict[str, list[str]] = {}
     for trial in chosen:
@@ -206,7 +206,7 @@ def _deepest(setup: Setup) -> float:
 
 def _explained(deep: Sequence[ContactRows], fixed: Sequence[ContactRows], cause: Cause) -> str:
     """How deep the finger goes, and what would mend it."""
-    return f"{_deep_text(deep, len(fixed))}; it would be {_depth_text(fixed)} but for one thing: {cause.text}"
+    return f"{_deep_text(deep, len(fixed))}; one correction would make it {_depth_text(fixed)}: {cause.text}"
 
 
 def _judged(
@@ -238,7 +238,7 @@ def _judged(
         first, *others = faults
         more = f" (and {len(others)} more pushes)" if others else ""
         warnings.append(
-            f"{first}{more}: {faults[first]}; is it a recording of several pushes, or a frame wrong?"
+            f"{first}{more}: {faults[first]}; is this a recording of several pushes, or is a frame wrong?"
         )
         faults = {}
     if deep:
@@ -262,20 +262,20 @@ def _judged(
             for rows in alone:
                 verb, where_ = ("starts", "inside") if _from_start(rows) else ("goes", "into")
                 faults[rows.trial.name] = (
-                    f"the finger {verb} {_depth_text(alone)} {where_} the object, while it fits in"
+                    f"the finger {verb} {_depth_text(alone)} {where_} the object, but contact fits in"
                     f" {len(pushes) - len(deep)} of {len(pushes)} pushes"
                 )
             deep = [rows for rows in deep if rows not in alone]
         if deep and cause is None:
             warnings.append(
-                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is"
-                " theta's sign, the frame, the clock or the finger's point right, and finger.radius and the"
-                " outline?"
+                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
+                " check theta's sign, the frames, the clocks, which point of the finger was recorded,"
+                " finger.radius and the outline"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
     for end, names in (
         (f"left out; {_FORCED}", [name for name in faults if name in odd]),
-        ("kept, as was asked for", [name for name in faults if name not in odd]),
+        ("kept as requested", [name for name in faults if name not in odd]),
     ):
         kinds: dict[str, list[str]] = {}
         for name in names:
@@ -310,7 +310,7 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
         for fault, bad in found.items()
     ]
     if stays:
-        warnings.append(f"{where}: {stays}; is that true, or does the tracker's frame jump?")
+        warnings.append(f"{where}: {stays}; did it really move, or did the tracker's frame jump?")
     return Channel(channel.time[kept], channel.values[kept]), warnings
 
 
@@ -323,23 +323,23 @@ def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[C
         measured = np.isfinite(rows[:, :3]).all(axis=1)
         rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
     if len(rows) == 0:
-        raise DatasetError(f"{where}: has no rows; the trial is empty, take it out of the dataset")
+        raise DatasetError(f"{where}: has no rows; remove this empty trial from the dataset")
     _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")
     largest = np.array([_LARGEST_TIME] + columns * [_LARGEST_VALUE])
     _refuse(np.abs(rows) > largest, rows, where, "is too large for s, m, rad, N; check the units")
     kept = np.flatnonzero(np.isfinite(rows).all(axis=1))
     if len(kept) == 0:
         raise DatasetError(
-            f"{where}: every row holds NaN; nothing was measured, take the trial or channel out"
+            f"{where}: every row contains NaN, so nothing was measured; remove the trial or the channel"
         )
     time = rows[kept, 0]
     late = np.flatnonzero(np.diff(time) < _SHORTEST_STEP)
     if len(late):
         before, row = kept[late[0]], kept[late[0] + 1]
-        what = "goes back behind" if time[late[0] + 1] < time[late[0]] else "repeats"
+        what = "is earlier than" if time[late[0] + 1] < time[late[0]] else "repeats"
         raise DatasetError(
             f"{where}, row {row}: time {time[late[0] + 1]} s {what} that of row {before}, {time[late[0]]} s;"
-            " sort the rows and leave repeated ones out"
+            " sort the rows and remove repeated ones"
         )
     return Channel(time, rows[kept, 1:]), kept
 
@@ -359,7 +359,7 @@ def _degrees(pose: Channel, where: str) -> list[str]:
     if np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN or (swept > 1.05 * _WHOLE_TURN and path < 1.0):
         return [
             f"{where}, object_pose: theta runs from {theta.min():.3g} to {theta.max():.3g} while the object"
-            f" moves {path:.2g} m; angles are in rad, were these degrees?"
+            f" moves {path:.2g} m; angles must be in rad, were these degrees?"
         ]
     return []
 
@@ -373,7 +373,7 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     stays = len(trial.tip_pose.time) == 1 or not trial.has_finger
     if moved and stays and not trial.initial_velocity().any():
         yield "a resting object begins to move, but " + (
-            "tip_pose has one row; a finger that stays pushes nothing"
+            "tip_pose has only one row, and a finger that does not move pushes nothing"
             if trial.has_finger
             else "no finger is within 1 m; is the tip given in m?"
         )
@@ -387,9 +387,9 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     if _fastest(trial.tip_pose) > _LARGEST_SPEED:
         yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
     if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
-        yield "the object moves, but the tip never touches its outline; is one of them in a wrong frame?"
+        yield "the object moves, but the tip never touches its outline; is one of them in the wrong frame?"
     if _ends_early(trial):
-        yield "the tip's rows end while it still moves; it is held at its last position from there on"
+        yield "the tip's rows end while it is still moving; it is held at its last position from there on"
 
 
 def _stands_still(setup: Setup, trial: Trial) -> bool:
@@ -423,10 +423,10 @@ def _copies(trials: Sequence[Trial], where: str) -> list[str]:
         first = seen.setdefault(digest.digest(), trial.name)
         if first == trial.name:
             continue
-        fault = f"{where}: {trial.name} holds the same measurement as {first}; a push counts once"
+        fault = f"{where}: {trial.name} holds the same measurement as {first}"
         if "#" not in first or first.rpartition("#")[0] != trial.name.rpartition("#")[0]:
-            raise DatasetError(f"{fault}, remove one")
-        warnings.append(f"{fault}, is one a copy?")
+            raise DatasetError(f"{fault}; remove one of them")
+        warnings.append(f"{fault}; is one a copy?")
     return warnings
 
 

@@ -56,21 +56,21 @@ def is_replaced(target: Path, overwrite: bool) -> bool:
         return False
     if not target.is_dir():
         raise DatasetError(
-            f"{target}: a file stands where the dataset's folder should be; choose another name"
+            f"{target}: this is a file, not a folder; choose another name for the dataset's folder"
         )
     present = {path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir()}
     if not present:
         return any(target.iterdir())
     if DESCRIPTION_FILE not in present:
         raise DatasetError(
-            f"{target}: the folder holds other files and is no push dataset; choose another one"
+            f"{target}: the folder contains other files and is not a push dataset; choose another one"
         )
     where = str(target / DESCRIPTION_FILE)
     _, document = read_yaml(target / DESCRIPTION_FILE, where)
     check_format(document, where)
     if not overwrite:
         raise DatasetError(
-            f"{target}: a push dataset is there already; choose another folder or allow overwriting"
+            f"{target}: there is already a push dataset here; choose another folder or allow overwriting"
         )
     listed = document.get("trials")
     entries = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
@@ -78,7 +78,7 @@ def is_replaced(target: Path, overwrite: bool) -> bool:
     foreign = sorted(present - own)
     if foreign:
         raise DatasetError(
-            f"{target}: {foreign[0]} is no part of the dataset there and would be lost; move it away first"
+            f"{target}: {foreign[0]} is not part of the dataset there and would be lost; move it away first"
         )
     return True
 

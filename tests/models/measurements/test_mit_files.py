@@ -103,7 +103,7 @@ def test_the_trial_of_a_push_dataset_is_not_taken_for_an_mit_file(example):
     folder = example.write()
     for path in (folder / "trials/000.json", folder / "trials"):
         with pytest.raises(
-            DatasetError, match=r"belongs to the push dataset .*example, where forces have the opposite"
+            DatasetError, match=r"belongs to the push dataset .*example, whose forces have the opposite"
         ):
             read_dataset(path, object_name="rect1")
 
@@ -128,7 +128,9 @@ def test_an_object_of_ones_own(tmp_path):
 
 def test_the_object_must_be_known(tmp_path):
     nameless = write_json(tmp_path / "pushes", name="push_{}")
-    with pytest.raises(DatasetError, match=r"says nothing of the object .* \(ellip1, .* or a YAML file"):
+    with pytest.raises(
+        DatasetError, match=r"does not say which object was pushed .* \(ellip1, .* or a YAML file"
+    ):
         read_dataset(nameless)
     assert read_dataset(nameless, object_name="rect1").mass == 0.8374
     with pytest.raises(DatasetError, match="no outline is known of 'rect9', only of ellip1,"):

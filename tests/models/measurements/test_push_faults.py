@@ -26,7 +26,7 @@ def replaced(key, value):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (spoil("object_pose", 7, 0, 1000.01), ["object_pose, row 7", "1000.01 s goes back", "of row 6"]),
+        (spoil("object_pose", 7, 0, 1000.01), ["object_pose, row 7", "1000.01 s is earlier", "of row 6"]),
         (spoil("tip_pose", 1, 0, 1000.003), ["tip_pose, row 1", "repeats that of row 0"]),
         (spoil("ft_wrench", 4, 1, math.inf), ["ft_wrench, row 4", "infinite"]),
         (spoil("object_pose", 4, 2, -math.inf), ["object_pose, row 4", "infinite"]),
@@ -36,16 +36,16 @@ def replaced(key, value):
         (spoil("object_pose", 2, 1, "0.1"), ["object_pose, row 2", "must hold numbers", "'0.1'"]),
         (spoil("object_pose", 2, 1, True), ["object_pose, row 2", "must hold numbers", "True"]),
         (spoil("object_pose", 2, 1, [0.1]), ["object_pose, row 2", "must hold numbers"]),
-        (spoil("object_pose", 2, 1, 10**400), ["object_pose, row 2", "beyond what a measured number can be"]),
+        (spoil("object_pose", 2, 1, 10**400), ["object_pose, row 2", "too large for a measured number"]),
         (replaced("object_pose", [[0.0, 0.0, 0.0]] * 3), ["object_pose, row 0", "needs 4 columns, has 3"]),
         (replaced("tip_pose", [[0.0] * 4, [0.0] * 5]), ["tip_pose, row 1", "needs 4 columns, has 5"]),
         (replaced("tip_pose", [[0.0] * 4, 3.0]), ["tip_pose, row 1", "must be a list of 4 numbers, got 3.0"]),
-        (replaced("object_pose", []), ["object_pose", "the trial is empty"]),
+        (replaced("object_pose", []), ["object_pose", "remove this empty trial"]),
         (replaced("object_pose", {}), ["object_pose", "must be a list of rows"]),
         (replaced("object_pose", None), ["`object_pose` is missing"]),
         (replaced("object_pose", [[0.0] * 4]), ["object_pose: one usable row"]),
-        (replaced("tip_pose", [[0.0, math.nan, 0.0, 0.0]] * 4), ["tip_pose", "every row holds NaN"]),
-        (replaced("ft_wrench", [[math.nan] * 4] * 4), ["ft_wrench", "every row holds NaN"]),
+        (replaced("tip_pose", [[0.0, math.nan, 0.0, 0.0]] * 4), ["tip_pose", "every row contains NaN"]),
+        (replaced("ft_wrench", [[math.nan] * 4] * 4), ["ft_wrench", "every row contains NaN"]),
     ],
 )  # fmt: skip
 def test_faults_in_a_trial_are_named_with_file_and_row(example, change, words):
@@ -68,7 +68,7 @@ def test_row_numbers_count_the_dropped_rows(example):
         (b"[1, 2]", "must be a mapping"),
         (b"\xff\xfe\x00", "not valid JSON"),
         (b"[" * 100_000, "nested too deeply"),
-        (b'{"tip_pose": [], "tip_pose": []}', "'tip_pose' stands there twice"),
+        (b'{"tip_pose": [], "tip_pose": []}', "'tip_pose' appears twice"),
         (b'{"object_pose": ' + b"9" * 10_000 + b"}", "not valid JSON"),
     ],
 )

@@ -48,7 +48,7 @@ def test_a_line_of_units_under_the_header_is_told(tmp_path):
 
 def test_thousands_are_no_decimals(tmp_path):
     (table,) = source(tmp_path, 't,x\n1,"1,500"\n2,"2,500"\n')
-    with pytest.raises(DatasetError, match="'1,500' is no number"):
+    with pytest.raises(DatasetError, match="'1,500' is not a number"):
         table.numbers("x")
 
 
@@ -60,7 +60,7 @@ def test_no_header(tmp_path):
 def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
     (table,) = source(tmp_path, "t,x,phase\n0,N/A,push\n1,,push\n2,null,rest\n3,7,rest\n")
     assert table.numbers("x")[3] == 7.0 and np.isnan(table.numbers("x")[:3]).all()
-    with pytest.raises(DatasetError, match="row 0, phase: 'push' is no number"):
+    with pytest.raises(DatasetError, match="row 0, phase: 'push' is not a number"):
         table.numbers("phase")
 
 
