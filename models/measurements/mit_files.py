@@ -53,8 +53,8 @@ def named_shape(files: Sequence[Path]) -> str | None:
     if len(found) > 1:
         (one, first), (other, second) = sorted(found.items())[:2]
         raise DatasetError(
-            f"{first.parent}: {first.name} is about {one}, {second.name} about {other}; a dataset has one"
-            " object, put the files of each into a folder of its own"
+            f"{first.parent}: {first.name} is about {one}, but {second.name} is about {other}; a dataset has"
+            " one object, so put the files of each object into a separate folder"
         )
     return next(iter(found), None)
 
@@ -65,7 +65,8 @@ def surface_warnings(files: Sequence[Path]) -> list[str]:
     if len(surfaces) < 2:
         return []
     return [
-        f"{files[0].parent}: the files name the surfaces {', '.join(sorted(surfaces))}; friction will differ"
+        f"{files[0].parent}: the file names give different surfaces, {', '.join(sorted(surfaces))}; their"
+        " friction will differ"
     ]
 
 
@@ -93,15 +94,15 @@ def _hdf5_table(item: object, where: str) -> FloatArray:
     if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
         raise DatasetError(f"{where}: must be an array inside the file")
     if item.dtype.kind not in "fiu":
-        raise DatasetError(f"{where}: must hold numbers, has the type {item.dtype}")
+        raise DatasetError(f"{where}: must contain numbers, but has the type {item.dtype}")
     if item.size is not None and item.size > _MOST_NUMBERS:
         raise DatasetError(
-            f"{where}: {item.size} numbers are more than the {_MOST_NUMBERS} one channel may have"
+            f"{where}: has {item.size} numbers, but a channel may have at most {_MOST_NUMBERS}"
         )
     if item.size == 0:
         return np.empty((0, COLUMNS))
     if item.ndim != 2 or item.shape[1] != COLUMNS:
-        raise DatasetError(f"{where}: needs rows of {COLUMNS} columns, has the shape {item.shape}")
+        raise DatasetError(f"{where}: needs rows of {COLUMNS} columns, but has the shape {item.shape}")
     return np.asarray(item[...], dtype=float)
 
 
@@ -118,8 +119,8 @@ def mit_shape(name: str, where: str) -> MitShape:
         near = get_close_matches(name, MIT_SHAPES, n=1)
         hint = f" Did you mean {near[0]}?" if near else ""
         raise DatasetError(
-            f"{where}: no outline is known of {name!r}, only of {', '.join(sorted(MIT_SHAPES))}.{hint}"
-            " For another object give a YAML file with the keys object and finger of a dataset.yaml"
+            f"{where}: the outline of {name!r} is unknown; known are {', '.join(sorted(MIT_SHAPES))}.{hint}"
+            " For another object, give a YAML file with the keys object and finger of a dataset.yaml"
         )
     return MIT_SHAPES[name]
 

@@ -107,7 +107,7 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         warnings.append(
             f"{where}: {carried_text(found[0])}"
             + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
-            + f"; the recording is cut there into {len(pushes)} pushes"
+            + f"; the recording was cut there into {len(pushes)} pushes"
         )
         result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings

@@ -60,10 +60,11 @@ def record_pushes(
         'fit'
     """
     if len(maps) != 1:
-        raise ValueError(f"recording: wants the true maps alone, one model, got {len(maps)}")
+        raise ValueError(f"recording: needs exactly one model, the true maps, got {len(maps)}")
     if not 0 <= heldout <= len(pushes) or not pushes:
         raise ValueError(
-            f"recording: {heldout} of {len(pushes)} pushes cannot be held out; take 0 to all of one or more"
+            f"recording: cannot hold out {heldout} of {len(pushes)} pushes; it takes at least one push, of"
+            " which 0 to all may be held out"
         )
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"recording: rate must be positive, got {rate} Hz")
@@ -107,13 +108,13 @@ def record_pushes(
 def _sampled(push: Push, rate: float, index: int) -> Push:
     """The push with poses at `rate` and the force of every step."""
     if not np.isfinite(push.tip).all():
-        raise ValueError(f"recording: push {index} has no finger; a recorded push needs one")
+        raise ValueError(f"recording: push {index} has no finger, but a recorded push needs one")
     steps = len(push.tip) - 1
     rows = np.arange(int(np.floor(steps * push.h * rate * (1 + 1e-12))) + 1) / rate
     if len(rows) < 3 or push.h * rate > 1.0:
         raise ValueError(
             f"recording: push {index} lasts {steps * push.h:.3g} s in steps of {push.h:.3g} s; at {rate:g} Hz"
-            " there must be three rows or more, and a step for each"
+            " there must be at least three rows, and a step for each"
         )
     return replace(push, pose_times=rows, force_times=_ends(push)[1:] - 0.5 * push.h)
 

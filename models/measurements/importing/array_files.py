@@ -135,11 +135,11 @@ def read_zarr(path: Path, where: str) -> list[Source]:
     root = path.resolve()
     for file in path.rglob("*"):
         if not file.resolve().is_relative_to(root):
-            raise DatasetError(f"{where}: {file.relative_to(path)} leads out of the folder")
+            raise DatasetError(f"{where}: {file.relative_to(path)} is a link that leads out of the folder")
         if file.name in (".zarray", ".zmetadata", "zarr.json"):
             said = parsing.parse_json(parsing.read_bytes(file), f"{where}, {file.relative_to(path)}")
             if "pickle" in json.dumps(said, ensure_ascii=True):
-                raise DatasetError(f"{where}: holds pickles, which can hold programs; write plain arrays")
+                raise DatasetError(f"{where}: contains pickles, which can run code; write plain arrays")
     found: dict[str, FloatArray] = {}
     try:
         for name, item in _zarr_items(zarr.open_group(str(path), mode="r"), zarr):
@@ -195,7 +195,7 @@ def read_parquet(path: Path, where: str) -> list[Source]:
     except (ArrowException, *_BROKEN) as error:
         raise _unreadable(where, "parquet", error) from None
     if not columns:
-        raise DatasetError(f"{where}: holds no columns of numbers")
+        raise DatasetError(f"{where}: contains no columns of numbers")
     time = columns.get("timestamp")
     push = "episode_index" if "episode_index" in columns else ""
     return [Source(where, "", columns, None if time is None else np.asarray(time, dtype=float), push=push)]
@@ -218,9 +218,9 @@ def _array(values: Any) -> FloatArray:
 def _tables(where: str, found: Mapping[str, FloatArray], kind: str) -> list[Source]:
     arrays = {name: values for name, values in found.items() if values.size}
     if not arrays:
-        raise DatasetError(f"{where}: holds no arrays of numbers that slipmap can read as {kind}")
+        raise DatasetError(f"{where}: contains no arrays of numbers that slipmap can read as {kind}")
     if len(arrays) > _MOST_ARRAYS:
-        raise DatasetError(f"{where}: holds {len(arrays)} arrays; at most {_MOST_ARRAYS} are read")
+        raise DatasetError(f"{where}: contains {len(arrays)} arrays, but at most {_MOST_ARRAYS} are read")
     return tables_of_arrays(where, arrays)
 
 
@@ -233,7 +233,7 @@ def _check(path: Path, where: str) -> None:
 
 def _refuse_size(numbers: int, where: str) -> None:
     if numbers > MOST_NUMBERS:
-        raise DatasetError(f"{where}: {numbers} numbers are more than the {MOST_NUMBERS} that are read")
+        raise DatasetError(f"{where}: has {numbers} numbers, but at most {MOST_NUMBERS} are read")
 
 
 def _unreadable(where: str, kind: str, error: Exception) -> DatasetError:

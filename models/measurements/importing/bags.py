@@ -67,7 +67,7 @@ def read_bag(path: Path, where: str, wanted: Collection[str] = ()) -> list[Sourc
                 numbers += len(row)
                 if numbers > MOST_NUMBERS:
                     raise DatasetError(
-                        f"{where}: more than {MOST_NUMBERS} numbers; name the topics with `part`"
+                        f"{where}: has more than {MOST_NUMBERS} numbers; name the topics with `part`"
                     )
                 tables.setdefault(name, _Rows()).add(_stamp(row) or received, row)
     except DatasetError:
@@ -280,7 +280,7 @@ def _mcap(path: Path, where: str, topics: set[str]) -> Iterator[_Message]:
         known = {channel.topic for channel in summary.channels.values()} if summary else set()
         if topics and summary and not topics & known:
             listed = ", ".join(sorted(known)[:12])
-            raise DatasetError(f"{where}: has no messages on {', '.join(sorted(topics))}; there are {listed}")
+            raise DatasetError(f"{where}: has no messages on {', '.join(sorted(topics))}; topics: {listed}")
         for schema, channel, message in reader.iter_messages(topics=sorted(topics) or None):
             if schema is None or schema.name.rpartition("/")[2].rpartition(".")[2] in _NO_POSES:
                 continue
@@ -303,5 +303,5 @@ def _decoder(schema: Any, encoding: str, where: str) -> Callable[[bytes], Any]:
         return lambda data: read(data, name)
     raise DatasetError(
         f"{where}: messages of {parsing.shown(schema.name)} are encoded as {parsing.shown(encoding)}; slipmap"
-        " reads JSON and those of ROS"
+        " reads JSON and ROS messages"
     )

@@ -43,7 +43,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
             raise DatasetError(f"{str(path)!r}: there is no such file or folder")
         if not path.is_dir() or _is_table(path):
             if not _is_table(path):
-                raise DatasetError(f"{path}: a file of a kind that is not read; {_instead(path)}")
+                raise DatasetError(f"{path}: this kind of file cannot be read; {_instead(path)}")
             inside = {path.name: path}
         else:
             inside = {
@@ -61,7 +61,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
             if outside:
                 raise DatasetError(f"{path}: {outside[0]} is a link that leads out of the folder")
             if not inside:
-                raise DatasetError(f"{path}: holds no files that can be read; {KINDS}")
+                raise DatasetError(f"{path}: contains no files that can be read; expected {KINDS}")
         for name, file in inside.items():
             found[name if name not in found else str(file)] = file
     return found
@@ -75,9 +75,9 @@ def _is_table(path: Path) -> bool:
 
 def _instead(path: Path) -> str:
     if path.suffix.lower() in _PICKLES:
-        return "such files can hold programs and are never loaded; write a table as CSV, HDF5 or parquet"
+        return "such files can run code and are never loaded; write a table as CSV, HDF5 or parquet"
     if path.suffix.lower() in _SPREADSHEETS:
-        return "save the sheet as CSV; decimal commas and semicolons are read"
+        return "save the sheet as CSV; decimal commas and semicolons are fine"
     return f"there are readers for {KINDS}"
 
 

@@ -83,14 +83,14 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     if pose is None:
         listed = "; ".join(one.source.listed for one in found[:3])
         raise DatasetError(
-            f"{', '.join(files)}: nothing looks like the pose of an object, x and y with an angle or a"
-            f" quaternion. {listed or 'Are there columns with names?'}"
+            f"{', '.join(files)}: nothing looks like an object's pose, which is x and y with an angle or a"
+            f" quaternion. {listed or 'Do the columns have names?'}"
         )
     if finger is None:
         finger = _farthest([one for one in places if one is not pose])
     lines = [
         "# Written by `slipmap import --guess`: correct it, then run `slipmap import` with it.",
-        "# The corners of the footprint in the object's frame, m, or --object FILE of `slipmap object`:",
+        "# The corners of the footprint in the object frame, m; or use --object FILE from `slipmap object`:",
         "object: {outline: null}",
         "finger: {radius: null}  # m",
     ]
@@ -184,7 +184,7 @@ def _farthest(found: Sequence[_Found]) -> _Found | None:
 def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
     """The lines of a channel."""
     if one is None:
-        return [f"{name}: null  # nothing looks like it"]
+        return [f"{name}: null  # no columns look like it"]
     force = name == "ft_wrench"
     lines = [f"{name}:  # by its names{'' if force or one.turn else ', without an angle'}"]
     if several:
@@ -201,7 +201,7 @@ def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
     time = _time(one.source)
     if one.source.time is None:
         said = ", ".join(map(_quoted, time))
-        unknown = "null  # which column is it? Or say `rate: 100`, Hz"
+        unknown = "null  # which column is it? Or give `rate: 100`, Hz"
         lines.append(f"  time: {(said if len(time) == 1 else f'[{said}]') if time else unknown}")
     lines += [
         f"  push: {_quoted(column)}  # it is constant in runs of rows"

@@ -119,7 +119,7 @@ def parse_import_setup(
         usual, unit = _usual(name, columns)
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
-        raise DatasetError(f"{where}: `object_pose` is null; without the object's pose nothing is learnt")
+        raise DatasetError(f"{where}: `object_pose` is null; nothing can be learnt without the object's pose")
     return ImportSetup(setup, channels, tuple(warnings))
 
 
@@ -152,7 +152,7 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
         raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
     turns = [key for key in columns[1:] if key in entry]
     if not force and len(turns) > 1:
-        raise DatasetError(f"{where}: gives {' and '.join(turns)}; a turn is said once")
+        raise DatasetError(f"{where}: gives {' and '.join(turns)}; give the rotation only once")
     found: dict[str, Any] = {}
     for key, value in entry.items():
         place = f"{where}.{key}"
@@ -163,9 +163,9 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
         else:
             found |= _OTHERS[key](value, place, force)
     if name == "object_pose" and found.get("clock") == CONTACT:
-        raise DatasetError(f"{where}.clock: the others are brought to the object's clock; leave it out")
+        raise DatasetError(f"{where}.clock: the object's clock is the reference for the others; leave it out")
     if "turned_by_contact" in found and not force:
-        raise DatasetError(f"{where}.frame: only a force is turned to fit the contact; give its pose")
+        raise DatasetError(f"{where}.frame: only a force can be rotated to fit the contact; give a pose here")
     return ChannelSetup(**found)
 
 
@@ -187,7 +187,7 @@ def _names(value: object, counts: Sequence[int], where: str) -> tuple[str, ...]:
     listed = value if isinstance(value, list) else [value]
     if len(listed) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise DatasetError(f"{where}: {wanted} columns are wanted, got {parsing.shown(value)}")
+        raise DatasetError(f"{where}: needs {wanted} columns, got {parsing.shown(value)}")
     return tuple(_name(one, where) for one in listed)
 
 
@@ -205,7 +205,7 @@ def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
     result = {}
     for kind, unit in said.items():
         if kind not in UNITS:
-            raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; there are {', '.join(UNITS)}")
+            raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; choose from {', '.join(UNITS)}")
         if not isinstance(unit, str) or unit not in UNITS[kind]:
             place = where if isinstance(value, str) else f"{where}.{kind}"
             raise DatasetError(f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}")
@@ -225,8 +225,8 @@ def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
         return {"turned_by_contact": True}
     if not isinstance(value, list):
         raise DatasetError(
-            f"{where}: the pose of the source's frame in the table's is [x, y, theta], m and rad (or 45 deg),"
-            f" [x, y, z, qx, qy, qz, qw] or a matrix of four rows, got {parsing.shown(value)}"
+            f"{where}: give the pose of the source's frame in the table's as [x, y, theta], m and rad (or"
+            f" 45 deg), [x, y, z, qx, qy, qz, qw] or a matrix of four rows, got {parsing.shown(value)}"
         )
     pose = np.eye(4)
     if len(value) == 4:
@@ -240,14 +240,16 @@ def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
 
         numbers = np.array([parsing.number(one, where) for one in value])
         if abs(np.linalg.norm(numbers[3:]) - 1.0) > 0.01:
-            raise DatasetError(f"{where}: qx, qy, qz, qw must have the length 1")
+            raise DatasetError(f"{where}: qx, qy, qz, qw must have length 1")
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3]
     else:
-        raise DatasetError(f"{where}: 3, 7 or 4 by 4 numbers are wanted, got {parsing.shown(value)}")
+        raise DatasetError(f"{where}: needs 3, 7 or 4 by 4 numbers, got {parsing.shown(value)}")
     turn = pose[:3, :3]
     if not (np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
             and np.linalg.det(turn) > 0.0 and np.allclose(pose[3], [0, 0, 0, 1])):  # fmt: skip
-        raise DatasetError(f"{where}: is no pose; a turn has orthogonal rows of length 1, right-handed")
+        raise DatasetError(
+            f"{where}: is not a pose; its rotation needs orthogonal rows of length 1, right-handed"
+        )
     return {"frame": pose}
 
 
@@ -259,7 +261,7 @@ def _angle(value: object, where: str) -> float:
     try:
         return float(match[1]) * csv_files.ANGLES[match[2]]
     except ValueError:
-        raise DatasetError(f"{where}: {parsing.shown(value)} is no angle") from None
+        raise DatasetError(f"{where}: {parsing.shown(value)} is not an angle") from None
 
 
 def _sign(value: object, where: str, force: bool) -> dict[str, Any]:
@@ -279,7 +281,7 @@ def _offset(value: object, where: str, force: bool) -> dict[str, Any]:
 def _clock(value: object, where: str, force: bool) -> dict[str, Any]:
     if value == CONTACT:
         return {"clock": CONTACT}
-    return {"clock": parsing.number(value, f"{where} (s that are added to the stamps, or contact)")}
+    return {"clock": parsing.number(value, f"{where} (s to add to the stamps, or contact)")}
 
 
 _OTHERS: Mapping[str, Callable[[object, str, bool], dict[str, Any]]] = {

@@ -93,7 +93,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
         values = _force(source, channel, up)
         if channel.sign < 0:
             values = -values
-            done.append("sign turned")
+            done.append("sign reversed")
     else:
         values, height, more = _pose(source, name, channel, up)
         doubts += more
@@ -102,20 +102,20 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     if name == "tip_pose" and np.isfinite(height).any():
         lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
         if len(lifted):
-            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger touches nothing")
+            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger counts as not touching")
     table, order = _in_order(table, name)
     doubts += [f"{source.where}: {text}" for text in order]
     if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
-        raise DatasetError(f"{source.where}: no row of {name} holds numbers in all its columns")
+        raise DatasetError(f"{source.where}: no row of {name} has numbers in all its columns")
     done += _said(channel, up, source)
     return Mapped(table, done, doubts, lifted)
 
 
 def _said(channel: ChannelSetup, up: str, source: Source) -> Iterator[str]:
     if up != "z":
-        yield f"{up} is up" + ("" if channel.up else ", as such files have it unless `up` says else")
+        yield f"{up} is up" + ("" if channel.up else ", as usual in such files unless `up` says otherwise")
     if not channel.unit.get("position") and source.length != "m":
-        yield f"lengths are in {source.length}, as the file says"
+        yield f"lengths are in {source.length}, as stated in the file"
     if channel.frame is not None:
         yield "moved into the table's frame"
     if channel.offset is not None:
@@ -167,7 +167,7 @@ def _expanded(source: Source, kind: str, said: Sequence[str]) -> tuple[str, ...]
 def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tuple[str, ...]:
     columns = _columns(source, kind, channel)
     if not columns:
-        raise DatasetError(f"{source.where}: which columns are the {kind} of {name}? {source.listed}")
+        raise DatasetError(f"{source.where}: which columns hold the {kind} of {name}? {source.listed}")
     return columns
 
 
@@ -188,7 +188,7 @@ def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
     if len(pairs) == 1:
         return seconds(source, pairs[0], None)
     raise DatasetError(
-        f"{source.where}: which column is the time? Say `time`, or `rate` in Hz where rows are evenly apart;"
+        f"{source.where}: which column is the time? Give `time`, or `rate` in Hz if rows are evenly spaced;"
         f" {source.listed}"
     )
 
@@ -238,8 +238,8 @@ def _pose(
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
             doubts.append(
-                f"{source.where}: the object's frame tilts by {np.degrees(np.median(tilt)):.0f}° against the"
-                " table; is `up` right, and does the tracked frame lie flat?"
+                f"{source.where}: the object's frame is tilted by {np.degrees(np.median(tilt)):.0f}° relative"
+                " to the table; is `up` right, and does the tracked frame lie flat?"
             )
     else:
         # An angle about an axis that points down turns the other way on the table.

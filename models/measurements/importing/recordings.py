@@ -159,7 +159,7 @@ def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dic
     for name, found in keyed.items():
         if not found and said.channels[name].named:
             raise DatasetError(
-                f"{where}: {name}.source: no file is called {parsing.shown(said.channels[name].source)};"
+                f"{where}: {name}.source: no file matches {parsing.shown(said.channels[name].source)};"
                 f" there are {parsing.listed(list(files))}"
             )
     groups: dict[str, dict[str, str]] = {}
@@ -172,8 +172,8 @@ def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dic
                 group[name] = next(iter(found.values()))
             elif said.channels[name].named:
                 raise DatasetError(
-                    f"{where}: {name}.source: no file goes with {file}; under the * of both patterns the"
-                    " same text has to stand"
+                    f"{where}: {name}.source: no file goes with {file}; the * of both patterns must match the"
+                    " same text"
                 )
         groups[file] = group
     return groups
@@ -264,7 +264,7 @@ def _recording(
     whole = _Recording()
     pushes = dict(_pushes_told_apart(name, sources, said))
     if len(pushes) > 1:
-        whole.steps.append("cut into pushes as they are numbered, or where stamps start anew")
+        whole.steps.append("cut into pushes by their numbers, or where the stamps start again")
     for label, parts in pushes.items():
         found = _one_clock(label, parts, said, usual)
         whole.trials.extend(found.trials)
@@ -369,7 +369,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
             steps.append(f"{channel}: {clock:g} s added to the stamps")
         rows[:, 0] -= zero
     if zero:
-        steps.append(f"times count from {zero:.0f} s after 1970")
+        steps.append(f"times count from {zero:.0f} s since 1970")
     if "tip_pose" not in tables:
         pose = tables["object_pose"]
         tables["tip_pose"] = np.array([[pose[0, 0], pose[0, 1] + _NOWHERE, pose[0, 2], 0.0]])
@@ -394,7 +394,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
                 lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
                 beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
                 if fingers is not None and beside and (lag is None or not lag.by_touch):
-                    lag = fingers._replace(text="as the finger's, of the same file")
+                    lag = fingers._replace(text="as for the finger in the same file")
                 force_lags.append(lag)
                 if usual is not None and _stands_alone(lag, usual):
                     doubts.append(_outvoted(name, lag, usual))
@@ -404,7 +404,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
             if lag is not None and not lag.by_touch:
                 doubts.append(
                     f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
-                    " picture, or say ft_wrench.clock, the s to add to its stamps"
+                    " picture, or give ft_wrench.clock, the seconds to add to its stamps"
                 )
     if trial.ft_wrench is not None and trial.has_finger:
         trial, more = _force_at_rest(trial, said)
@@ -449,7 +449,7 @@ def _stands_alone(lag: Lag | None, usual: Lag) -> bool:
 
 def _outvoted(name: str, lag: Lag | None, usual: Lag) -> str:
     alone = "does not show its clock" if lag is None else f"would move it by {lag.value:.4f} s ({lag.text})"
-    return f"{name}: ft_wrench alone {alone}; the session as a whole has {usual.value:.4f} s, which counts"
+    return f"{name}: ft_wrench alone {alone}; the {usual.value:.4f} s of the session as a whole was used"
 
 
 def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
@@ -457,14 +457,15 @@ def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
     moved = trial.channels[channel]
     if lag is None:
         text = (
-            f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are"
-            f" frames, outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
+            f"{trial.name}: contact does not show how the clock of {channel} differs from that of"
+            f" object_pose; check frames, outline and finger.radius, or give {channel}.clock, the seconds to"
+            " add to its stamps"
         )
         if not _overlap(trial.object_pose, moved):
             raise DatasetError(text)
         return trial, f"{text}. The stamps were left as they are"
     if channel == "ft_wrench" and not lag.sure:
-        return trial, f"{channel}: stamps left as they are, on the clock of the poses within the error"
+        return trial, f"{channel}: stamps left as they are, since they agree with the poses within the error"
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
@@ -482,11 +483,11 @@ def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
         return trial, []
     free = free_force(said.setup, trial.object_pose, trial.tip_pose, force)
     if free is None:
-        return trial, ["ft_wrench: no rows before touch, so that its bias is not known and nothing taken off"]
+        return trial, ["ft_wrench: no rows before touch, so its bias is unknown and nothing was taken off"]
     bias, error, count = free
     size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
     if not bias_matters(bias, error, force):
-        return trial, [f"ft_wrench: reads {size}, which is no bias; left as it is"]
+        return trial, [f"ft_wrench: reads {size}, which is no significant bias; left as it is"]
     values = force.values - np.append(bias, 0.0)
     return replace(trial, ft_wrench=Channel(force.time, values)), [f"ft_wrench: bias {size} taken off"]
 
@@ -496,10 +497,10 @@ def _turned(trial: Trial, said: ImportSetup) -> tuple[Trial, str]:
     rows = contact_rows(said.setup, trial)
     normal, force, _ = normals_and_forces(said.setup, [rows] if rows is not None else [])
     if len(force) < 10:
-        raise DatasetError(f"{trial.name}: too few rows with a force at a contact to turn ft_wrench by")
+        raise DatasetError(f"{trial.name}: too few rows with force in contact to rotate ft_wrench by")
     angle = -middle_angle(angle_between(force, normal))
     assert trial.ft_wrench is not None
     values = trial.ft_wrench.values.copy()
     values[:, :2] = rotated(values[:, :2], angle)
-    text = f"ft_wrench: turned by {np.degrees(angle_between(angle, 0.0)):.1f}° to fit the contact"
+    text = f"ft_wrench: rotated by {np.degrees(angle_between(angle, 0.0)):.1f}° to fit the contact"
     return replace(trial, ft_wrench=Channel(trial.ft_wrench.time, values)), text

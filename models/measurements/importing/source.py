@@ -124,7 +124,7 @@ Reader = Callable[[Path, str], list[Source]]
 def missing_library(where: str, library: str, extra: str = "import") -> DatasetError:
     """That a library which is not always installed has to be."""
     return DatasetError(
-        f"{where}: reading such files takes the library {library}; install it with `pip install"
+        f"{where}: reading such files needs the library {library}; install it with `pip install"
         f" 'slipmap[{extra}]'`"
     )
 

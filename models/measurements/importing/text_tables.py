@@ -47,7 +47,7 @@ def read_text(path: Path, where: str) -> list[Source]:
     except ValueError:
         text = content.decode("latin-1")
     if "\0" in text:
-        raise DatasetError(f"{where}: this is no text; is its ending right?")
+        raise DatasetError(f"{where}: this is not a text file; is its file extension right?")
     text = _SIGN_OF_EXCEL.sub("", text)
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -86,7 +86,9 @@ def _is_comment(line: str) -> bool:
 
 def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
     if sum(map(text.count, (sign or " ", "\n"))) > MOST_CELLS:
-        raise DatasetError(f"{where}: more than {MOST_CELLS} cells; cut the recording into several files")
+        raise DatasetError(
+            f"{where}: has more than {MOST_CELLS} cells; split the recording into several files"
+        )
     try:
         if sign is None:
             return [line.split() for line in text.splitlines()]
@@ -114,9 +116,8 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
         names, rows = (rows[0], rows[1:]) if rows else ([], [])
         if len(rows) > 1 and _words_over_numbers(rows[0], rows[1], decimal):
             raise DatasetError(
-                f"{where}, row 0: words stand under the header, such as {parsing.shown(rows[0][0])}; if they"
-                " are"
-                " units, delete the line, and say them in setup.yaml under `unit`"
+                f"{where}, row 0: there are words below the header, such as {parsing.shown(rows[0][0])}; if"
+                " they are units, delete the line and give them in setup.yaml under `unit`"
             )
     names = [name.strip() for name in names]
     wide = {len(row) for row in rows}
@@ -166,9 +167,11 @@ def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) ->
     filled = [row for row in rows if row]
     for number, row in enumerate(filled):
         if len(row) != len(names) and not (len(row) == len(names) + 1 and not row[-1].strip()):
-            raise DatasetError(f"{where}, row {number}: has {len(row)} cells, the header {len(names)}")
+            raise DatasetError(
+                f"{where}, row {number}: has {len(row)} cells, but the header has {len(names)}"
+            )
     if not filled:
-        raise DatasetError(f"{where}: holds a header and no rows")
+        raise DatasetError(f"{where}: has a header but no rows")
     named: dict[str, Column] = {}
     for number, (name, cells) in enumerate(zip(names, zip(*filled, strict=False), strict=False)):
         unique, repeated = name, 0
@@ -208,7 +211,7 @@ def _moments(source: Source, column: str) -> FloatArray:
     for row, cell in enumerate(source.texts(column)):
         value = _moment(cell) if cell else float("nan")
         if value is None:
-            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is no time")
+            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is not a time")
         result.append(value)
     return np.array(result)
 
@@ -235,12 +238,12 @@ def _motive(rows: list[list[str]], where: str) -> list[Source]:
     said = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     length = _LENGTHS.get(said.get("Length Units", "Meters").strip().lower())
     if length is None:
-        raise DatasetError(f"{where}: lengths in {parsing.shown(said['Length Units'])} are not known")
+        raise DatasetError(f"{where}: unknown unit of length {parsing.shown(said['Length Units'])}")
     place = next((k for k, row in enumerate(rows[:20]) if row and row[0].strip() == "Frame"), None)
     names = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Name"), None)
     if place is None or names is None or place == 0:
         raise DatasetError(
-            f"{where}: an export of Motive without its lines Name and Frame; export it anew with the header"
+            f"{where}: this Motive export lacks the lines Name and Frame; export it again with the header"
         )
     kinds = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Type"), [])
     what, axis = rows[place - 1], rows[place]
@@ -268,7 +271,9 @@ def _motive(rows: list[list[str]], where: str) -> list[Source]:
             values |= zip(("qx", "qy", "qz", "qw"), turns, strict=True)
         sources.append(Source(where, name, values, time, length, up="y"))
     if not sources:
-        raise DatasetError(f"{where}: holds no rigid body with a position; export rigid bodies from Motive")
+        raise DatasetError(
+            f"{where}: contains no rigid body with a position; export rigid bodies from Motive"
+        )
     return sources
 
 
@@ -277,7 +282,7 @@ def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]
     from scipy.spatial.transform import Rotation
 
     if sorted(order.upper()) != ["X", "Y", "Z"]:
-        raise DatasetError(f"{where}: rotations of the type {parsing.shown(order)} are not known")
+        raise DatasetError(f"{where}: unknown rotation type {parsing.shown(order)}")
     known = np.isfinite(angles).all(axis=1)
     result = np.full((len(angles), 4), np.nan)
     columns = ["XYZ".index(axis) for axis in order.upper()]
@@ -291,13 +296,13 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
     """Objects of an export of Vicon Tracker or Nexus, whose frames count from a rate in the second line."""
     place = next((k for k, row in enumerate(rows[:12]) if row and row[0].strip() == "Frame"), None)
     if place is None or place < 2:
-        raise DatasetError(f"{where}: an export of Vicon without its line Frame; export it anew")
+        raise DatasetError(f"{where}: this Vicon export lacks the line Frame; export it again")
     try:
         rate = float(rows[1][0])
         if not rate > 0.0:
             raise ValueError
     except (ValueError, IndexError):
-        raise DatasetError(f"{where}: its second line should be the rate in Hz") from None
+        raise DatasetError(f"{where}: the second line must be the rate in Hz") from None
     units = rows[place + 1] if place + 1 < len(rows) else []
     stop = next((k for k, row in enumerate(rows) if k > place + 1 and not any(map(str.strip, row))), None)
     body = rows[place + 2 : stop]
@@ -327,5 +332,5 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
         if {"x", "y", "z"} <= values.keys():
             sources.append(Source(where, name, values, time, lengths[name]))
     if not sources:
-        raise DatasetError(f"{where}: holds no object with a position (TX, TY, TZ)")
+        raise DatasetError(f"{where}: contains no object with a position (TX, TY, TZ)")
     return sources

@@ -73,7 +73,7 @@ def changed(row, text):
     [
         (changed(6, "0.040,abc,0,0,,,,,"), ["row 6, object_x: 'abc' is not a number"]),
         (changed(6, "0.040,1_0,0,0,,,,,"), ["row 6, object_x: '1_0' is not a number"]),
-        (changed(6, "0.040,0,0"), ["row 6: has 3 cells, the header 9"]),
+        (changed(6, "0.040,0,0"), ["row 6: has 3 cells, but the header has 9"]),
         (changed(6, "0.020,0,0,0,,,,,"), ["object_pose, row 6", "repeats that of row 3"]),
         (changed(6, "0.010,0,0,0,,,,,"), ["object_pose, row 6", "is earlier than that of row 3"]),
         (changed(6, "0.040,inf,0,0,,,,,"), ["object_pose, row 6", "infinite"]),

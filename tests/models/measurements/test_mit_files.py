@@ -133,14 +133,14 @@ def test_the_object_must_be_known(tmp_path):
     ):
         read_dataset(nameless)
     assert read_dataset(nameless, object_name="rect1").mass == 0.8374
-    with pytest.raises(DatasetError, match="no outline is known of 'rect9', only of ellip1,"):
+    with pytest.raises(DatasetError, match="the outline of 'rect9' is unknown; known are ellip1,"):
         read_dataset(nameless, object_name="rect9")
     with pytest.raises(DatasetError, match=r"object\.yaml: there is no such file"):
         read_dataset(nameless, object_name="object.yaml")
     with pytest.raises(DatasetError, match="say shape=rect1, not hex"):
         read_dataset(write_json(tmp_path / "named"), object_name="hex")
     butterfly = write_json(tmp_path / "butterfly", name="motion_shape=butter_{}")
-    with pytest.raises(DatasetError, match="no outline is known of 'butter'"):
+    with pytest.raises(DatasetError, match="the outline of 'butter'"):
         read_dataset(butterfly)
 
 
@@ -199,8 +199,8 @@ def hdf5_of(change):
         (lambda path: path.write_bytes(b""), "not readable as HDF5"),
         (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\0" * 100), "not readable as HDF5"),
         (hdf5_of(lambda file: file.create_group("tip_pose")), "must be an array inside the file"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=b"text")), "must hold numbers"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=[["a", "b"]])), "must hold numbers"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=b"text")), "must contain numbers"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=[["a", "b"]])), "must contain numbers"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=np.zeros((3, 5)))), r"the shape \(3, 5\)"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=1.0)), r"the shape \(\)"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", (10**12, 4), "f8", chunks=(9, 4))), "more"),

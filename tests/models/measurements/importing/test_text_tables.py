@@ -40,7 +40,7 @@ def test_dialects(tmp_path, text):
 
 
 def test_a_line_of_units_under_the_header_is_told(tmp_path):
-    with pytest.raises(DatasetError, match=r"row 0: words stand under the header, such as 'ms'"):
+    with pytest.raises(DatasetError, match=r"row 0: there are words below the header, such as 'ms'"):
         source(tmp_path, "t,x\nms,mm\n0,1.5\n")
     (table,) = source(tmp_path, "t,x\n,N/A\n0,1.5\n")
     assert table.numbers("x")[1] == 1.5
@@ -149,9 +149,9 @@ def test_motive_in_euler_angles(tmp_path):
     [
         ("", "empty"),
         ("t,x\n", "no rows"),
-        ("t,x\n1,2,3\n", "row 0: has 3 cells, the header 2"),
+        ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
         ("a\0b", "no text"),
-        ("Format Version,1.23,Take Name,t\n1,2\n", "without its lines Name and Frame"),
+        ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
         ("Objects\nfast\n,,a\nFrame,Sub Frame,RX\n,,deg\n1,0,1\n", "the rate in Hz"),
     ],
 )
