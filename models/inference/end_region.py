@@ -70,7 +70,7 @@ class EndRegion:
         return cls(middle, covariance, min(freedom, _MOST_FREEDOM))
 
     def rarity(self, point: FloatArray) -> float:
-        """Share of pushes that end at least as far out as a point (n,) under a right model; 1 at the centre."""
+        """Share of pushes of a right model that end at least as far out as a point (n,); 1 at the centre."""
         n, freedom = len(self.middle), self.freedom
         return float(fdtrc(n, freedom, self._square(point) * freedom / (n * (freedom + n - 1.0))))
 

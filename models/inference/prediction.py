@@ -82,7 +82,7 @@ class Prediction:
 
     @property
     def rarity(self) -> float:
-        """Share of pushes that end at least as far out as the measured end under a right model; below 0.05 this
+        """Share of pushes of a right model that end at least as far out as the measured end; below 0.05 this
         push is `surprising`."""
         return self.end_region.rarity(self._seen_end)
 
