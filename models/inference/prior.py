@@ -87,8 +87,7 @@ def structures_of(dataset: PushDataset) -> Mapping[str, PriorSettings]:
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
-    """The sliding model of a dataset's object and finger on its table, with the contact of recorded
-    fingers."""
+    """The sliding model of a dataset's object, finger and table, with the contact of recorded fingers."""
     return Slider(
         dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects, dataset.table
     )  # fmt: skip
@@ -278,8 +277,7 @@ class MapPrior(EffectCoordinates):
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
-        """Convert derivatives over a rollout's reduced columns (K, …, P) to derivatives over z and start
-        pose.
+        """Convert derivatives over a rollout's reduced columns (K, …, P) to ones over z and start pose.
 
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.

@@ -89,8 +89,7 @@ def resting_misfit(
         taught: number of pushes that the hypotheses were learnt from; 0 if their spread is exact.
 
     Returns:
-        The misfit, about 1 where nothing is missing, and p, the probability of a misfit as large in that
-        case.
+        The misfit, about 1 where nothing is missing, and p, the probability of one as large in that case.
     """
     scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
     mean = probability @ predicted

@@ -148,8 +148,7 @@ def _turning(residuals: Residuals) -> Columns:
 
 
 def _onward(residuals: Residuals) -> Columns:
-    """Components along the motion of the centroid and, for residual motion, in the direction of its
-    rotation."""
+    """Components along the centroid's motion and, for residual motion, in the direction of its rotation."""
     unit = residuals.at.velocity / np.maximum(residuals.at.speed, 1e-12)[:, None]
     if residuals.values.shape[1] == 2:
         return {"along the motion": (unit[:, :2] * residuals.relative).sum(axis=1)}

@@ -75,8 +75,7 @@ def smallest_p(pushes: int) -> float:
 
 
 def holm(p: FloatArray) -> FloatArray:
-    """(m,) p-values of m tests, corrected so that p < 5 % bounds the probability of any false alarm (Holm,
-    1979)."""
+    """(m,) p-values of m tests, corrected so that 5 % bounds the rate of any false alarm (Holm, 1979)."""
     p = np.asarray(p, dtype=float)
     order = np.argsort(p)
     steps = p[order] * np.arange(len(p), 0, -1)

@@ -21,8 +21,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> FloatArray:
     """Geometric median of planar poses, by the iteration of Weiszfeld (1937).
 
-    Distances are those of (x, y, ρ θ) at the cells' centroid, where ρ is their radius of gyration: nearly
-    ADD.
+    Distances are those of (x, y, ρ θ) at the cells' centroid, with their radius of gyration ρ: nearly ADD.
 
     Args:
         poses: (K, …, 3) of the object frame, m and rad; angles to be averaged do not wrap.
