@@ -1,5 +1,5 @@
-"""Does the finger touch the object where the record says? Depth of its rim in the outline over whole pushes,
-what explains it in all of them, and the angle of the force to the contact's normal."""
+"""Whether recorded finger and object fit together: depth of the finger's rim in the outline over whole
+pushes, its common cause, and the angle of the force to the contact normal."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,33 +13,33 @@ from slipmap.models.geometry import angle_between, compose, rotated, seen_from
 from slipmap.models.measurements.push_dataset import Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
-CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
+CALIBRATION_ERROR = 3e-3  # m; good laboratories reach 2 mm
 
 _MOST_ROWS = 500  # of a trial
-_NEAR = 1e-3  # m of air within which a row is one of contact
-_DEEPEST_SHARE = 0.05  # of those rows, which jitter may spoil
+_NEAR = 1e-3  # m of air up to which a row counts as contact
+_DEEPEST_SHARE = 0.05  # of those rows may be spoilt by jitter
 _WINDOW = 0.1  # s over which speeds are taken
-_MOVING = 0.3  # of the speed that the object hardly exceeds
+_MOVING = 0.3  # share of the 90th percentile of the object's speed
 _SLOWEST = 2e-3  # m/s
-_GAP_ROWS = 3.0  # usual steps without a pose, across which nothing is said
+_GAP_ROWS = 3.0  # usual steps without a pose, beyond which rows in the gap are skipped
 
-# Of what may be common to all pushes.
-_MOST_TRIALS, _ROWS_EACH = 40, 25  # that are looked at
-_LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m that count
+# Common cause of all pushes.
+_MOST_TRIALS, _ROWS_EACH = 40, 25  # most trials used, and rows of each
+_LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m; larger values are clipped
 _LARGEST_LAG = 0.15  # s
-_MOST_OF_RADIUS = 0.8  # by which a finger can be thinner than was said
-_GAIN, _GAIN_UNSIZED = 0.6, 0.75  # of the misfit may be left; without a size that is fitted
+_MOST_OF_RADIUS = 0.8  # largest share of the stated radius by which a finger can be thinner
+_GAIN, _GAIN_UNSIZED = 0.6, 0.75  # share of the misfit that may be left, with and without a fitted size
 _LEAST_GAIN = 5e-4  # m
-_AS_GOOD = 1.2  # times the least misfit, for a simpler cause
+_AS_GOOD = 1.2  # times the least misfit, accepted for a simpler cause
 
 _OFF_NORMAL = np.pi / 3.0  # beyond any friction of a finger
 _FEWEST_FORCES = 10  # rows
-_SOME_WRONG = 0.2  # of the rows beyond that, where something makes
-_WOULD_FIT = 0.85  # of the rows fit; of half of them it is said anyway
+_SOME_WRONG = 0.2  # share of rows beyond that angle, if some other frame makes
+_WOULD_FIT = 0.85  # of the rows fit; beyond half of the rows it is reported anyway
 
 
 def gaps(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
-    """(k,) air between the finger, at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
+    """(k,) gap between the finger at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
     return signed_distance(setup, tips, poses) - setup.finger_radius
 
 
@@ -52,15 +52,15 @@ def signed_distance(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatA
 
 @dataclass(frozen=True, eq=False)
 class ContactRows:
-    """A trial at times at which finger and object are known.
+    """A trial at times for which both finger and object are known.
 
     Attributes:
         trial: the push.
         time: (k,) s.
         tips: (k, 2) finger, m.
         poses: (k, 3) object.
-        pressed: (k,) whether the object moves, so that the finger has to touch it, unless it coasts.
-        gap: (k,) air between them, m.
+        pressed: (k,) whether the object moves, so that the finger must touch it unless it coasts.
+        gap: (k,) gap between them, m, negative inside.
     """
 
     trial: Trial
@@ -72,13 +72,13 @@ class ContactRows:
 
     @property
     def deepest(self) -> float:
-        """Greatest depth of the rim, m; negative where there is air."""
+        """Greatest depth of the rim, m; negative if there is a gap."""
         return -float(np.min(self.gap))
 
     @property
     def depth(self) -> float:
-        """Depth which one row in twenty of those in contact exceeds, m."""
-        if self.trial.ends_only:  # after its last row the finger may have gone on, or back
+        """Depth that one in twenty rows of contact exceeds, m."""
+        if self.trial.ends_only:  # after its last row the finger may have moved on or back
             return max(-float(self.gap[0]), -float(self.gap[-1]) - CALIBRATION_ERROR)
         near = np.sort(self.gap[self.gap < _NEAR])
         if len(near) < 3:
@@ -93,9 +93,9 @@ class ContactRows:
 
 
 def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
-    """The finger's rows with the poses between which they lie; None without a finger.
+    """The finger's rows with poses interpolated at their times; None without a finger.
 
-    Where only the ends are known, these two.
+    Where only the ends are known, these two rows.
     """
     if not trial.has_finger:
         return None
@@ -114,7 +114,7 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         known = (step <= _GAP_ROWS * np.median(np.diff(pose.time))) | np.isin(time, pose.time)
         time = time[known]
     tips, poses = tip.at(time), pose.at(time)
-    if trial.ends_only:  # of what moved, the finger mostly stops where it pushed it to
+    if trial.ends_only:  # the finger mostly stops where it pushed the object to
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
         pressed = _moving(setup, trial, time)
@@ -136,17 +136,17 @@ def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
     )
 
 
-# What is common to all pushes.
+# The common cause of all pushes.
 
 _SIZED = ("lag", "radius", "tip_offset", "tracker_offset")
 
 
 class Cause(NamedTuple):
-    """What would make the finger touch the object in all pushes."""
+    """A correction that would make the finger touch the object in all pushes."""
 
-    text: str  # a question for whom it concerns
+    text: str  # a question to the user
     kind: str  # sign, turn, lag, radius, tip_offset or tracker_offset
-    applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps with it
+    applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps after correction
 
 
 def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
@@ -154,9 +154,9 @@ def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
 
 
 def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Cause | None:
-    """The simplest of the known causes that makes most of depth and air disappear in all pushes, or None.
+    """The simplest known cause that removes most of the depth and air in all pushes, or None.
 
-    Where the finger is deep in one push alone, only causes without a size count: others fit anything.
+    If the finger is deep in only one push, only causes without a fitted size count; others fit anything.
     """
     places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
     thinned = [_thinned(pushes[place]) for place in places]
@@ -176,7 +176,7 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
 
 
 def _thinned(rows: ContactRows) -> ContactRows:
-    """Rows that say something: of contact, or of motion with the finger near."""
+    """Informative rows: contact, or motion with the finger near."""
     telling = np.flatnonzero((rows.gap < 0.0) | (rows.pressed & (rows.gap < 2.0 * _LARGEST_GAP)))
     if len(telling) > _ROWS_EACH:
         telling = telling[np.unique(np.linspace(0, len(telling) - 1, _ROWS_EACH).astype(int))]
@@ -190,19 +190,19 @@ def _residual(rows: ContactRows, gap: FloatArray) -> FloatArray:
 def _misfit(
     setup: Setup, pushes: Sequence[ContactRows], applied: Callable[[Setup, ContactRows], FloatArray]
 ) -> float:
-    """Mean over pushes of the rms of depth and air, m; one push counts no more than 20 mm."""
+    """Mean over pushes of the rms of depth and air, m, with at most 20 mm per push."""
     each = [np.sqrt(np.mean(_residual(rows, applied(setup, rows)) ** 2)) for rows in pushes]
     return float(np.mean(np.minimum(each, 0.02)))
 
 
 def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
-    """Each with its best size, the simplest first."""
+    """All causes, each with its best size, the simplest first."""
 
     def posed(change: Callable[[FloatArray], FloatArray]) -> Callable[[Setup, ContactRows], FloatArray]:
         return lambda setup, rows: gaps(setup, rows.tips, change(rows.poses))
 
     yield Cause("is theta's sign right?", "sign", posed(lambda poses: poses * [1.0, 1.0, -1.0]))
-    for angle in (90, -90, 180):  # that is taken off
+    for angle in (90, -90, 180):  # correction of theta
         turn = np.array([0.0, 0.0, np.radians(angle)])
         yield Cause(
             f"is theta, or the outline, rotated by {-angle if abs(angle) == 90 else 180}°?",
@@ -266,7 +266,7 @@ def _shifted_tip(setup: Setup, rows: ContactRows, shift: FloatArray) -> FloatArr
 
 
 def _offset_frame(setup: Setup, rows: ContactRows, offset: FloatArray) -> FloatArray:
-    """Gaps where the tracked frame sits at `offset` (3,) in the object's."""
+    """Gaps if the tracked frame lies at `offset` (3,) in the object frame."""
     back = np.append(rotated(-offset[:2], -offset[2]), -offset[2])
     return gaps(setup, rows.tips, compose(rows.poses, back))
 
@@ -277,7 +277,7 @@ def _fitted(
     count: int,
     applied: Callable[[Setup, ContactRows, FloatArray], FloatArray],
 ) -> FloatArray:
-    """Parameters (count,) of least misfit, in which pushes and rows that stand alone count little."""
+    """Parameters (count,) of least misfit, robust to single pushes and rows."""
     from scipy.optimize import least_squares
 
     scale = np.array([1e-3, 1e-3, 1e-2])[:count]
@@ -294,7 +294,7 @@ def _fitted(
 
 
 def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
-    """What is wrong with the direction of the force on most rows, or None."""
+    """Message if the direction of the force is wrong on most rows, otherwise None."""
     normal, force, theta = normals_and_forces(setup, pushes)
     if len(normal) < _FEWEST_FORCES:
         return None
@@ -327,7 +327,8 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
 def _other_frames(
     force: FloatArray, normal: FloatArray, theta: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
-    """What may have been done to forces, the likeliest first, and their directions without it, rad."""
+    """Likely frame and sign errors, the likeliest first, and the directions of the force without them,
+    rad."""
     yield "with its sign reversed, as if it were the force of the object on the finger,", force + np.pi
     turn = -middle_angle(angle_between(force, normal))
     degrees = 15.0 * round(float(np.degrees(angle_between(turn, 0.0))) / 15.0)
@@ -341,7 +342,7 @@ def _other_frames(
 
 
 def middle_angle(angles: FloatArray) -> float:
-    """The angle that most of them are near: the mean of those within 60° of the fullest direction, rad."""
+    """The dominant angle: the mean of those within 60° of the densest direction, rad."""
     centers = np.radians(np.arange(-180, 180, 5))
     near = np.abs(angle_between(angles[:, None], centers)) < _OFF_NORMAL
     center = centers[np.argmax(near.sum(axis=0))]
@@ -352,7 +353,8 @@ def middle_angle(angles: FloatArray) -> float:
 def normals_and_forces(
     setup: Setup, pushes: Sequence[ContactRows]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions of inward normal, force and object in the world while the finger presses, (k,) rad each."""
+    """Directions of inward normal, force and object in the world frame while the finger presses, (k,) rad
+    each."""
     each = [_normals_and_forces(setup, rows) for rows in pushes]
     normal, force, theta = (np.concatenate([one[k] for one in each] or [np.zeros(0)]) for k in range(3))
     return normal, force, theta
@@ -369,7 +371,7 @@ def _normals_and_forces(setup: Setup, rows: ContactRows) -> tuple[FloatArray, Fl
     enough = max(0.3 * float(size.max(initial=0.0)), 3.0 * (setup.noise.force or 0.0))
     distance = rows.gap + setup.finger_radius
     used = inside & rows.pressed & (size > enough) & (np.abs(rows.gap) < 2.0 * CALIBRATION_ERROR)
-    used &= np.abs(distance) > 1e-3  # else the direction to the rim says little
+    used &= np.abs(distance) > 1e-3  # closer to the rim, its direction is uncertain
     if not used.any():
         return empty
     points = seen_from(rows.tips[used], rows.poses[used])

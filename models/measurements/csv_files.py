@@ -1,4 +1,4 @@
-"""Pushes as CSV: one file a push, a header line of named columns, empty cells where a sensor has no row."""
+"""Pushes as CSV: one file per push, a header line of column names, empty cells where a sensor has no row."""
 
 import csv
 import io
@@ -33,10 +33,10 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "force_y": FORCES,
     "force_tau": TORQUES,
 }
-"""Our names, and how much of the SI unit each unit is that a column may have."""
+"""Our column names, and the factors from the units that a column may have to SI."""
 
 PUSH_COLUMN = "push_id"
-"""Parts a file into its pushes where it is there."""
+"""Optional column that divides a file into its pushes."""
 
 _OPTIONAL = CHANNELS["ft_wrench"]
 _FORCE, _TORQUE = _OPTIONAL[:2], _OPTIONAL[2]
@@ -46,13 +46,13 @@ _REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 class CsvColumns(NamedTuple):
     """Columns of CSV files."""
 
-    names: Mapping[str, str]  # our name to that in the files
-    # our name to what its numbers have to be multiplied by to be s, m, rad, N or N·m
+    names: Mapping[str, str]  # from our name to the name in the files
+    # from our name to the factor that converts its numbers to s, m, rad, N or N·m
     factors: Mapping[str, float]
 
     @property
     def expected(self) -> str:
-        """Which columns there have to be, for error texts."""
+        """The expected columns, for error messages."""
         required, optional = (
             ", ".join(self.names[name] for name in group) for group in (_REQUIRED, _OPTIONAL)
         )
@@ -64,14 +64,15 @@ STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _U
 
 
 def parse_columns(value: object, where: str) -> CsvColumns:
-    """Columns of the key `csv`: by our name that of the files, or `{column: ..., unit: ...}`.
+    """Columns from the key `csv`, which maps our names to those in the files, or to `{column: ..., unit:
+    ...}`.
 
     Args:
-        value: as parsed; None for the standard.
-        where: the file and key, for error texts.
+        value: as parsed; None for the standard names.
+        where: the file and key, for error messages.
 
     Raises:
-        DatasetError: a name or unit that is not known, or one column for two things.
+        DatasetError: an unknown name or unit, or one column for two quantities.
     """
     if value is None:
         return STANDARD
@@ -103,15 +104,15 @@ def parse_columns(value: object, where: str) -> CsvColumns:
 def read_csv_trials(
     name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
 ) -> tuple[list[Trial], list[str]]:
-    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says else; the force is that on the
-    object.
+    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says otherwise; the force is that on
+    the object.
 
-    Channels share the column t and need not share rates: a channel has a row where its cells are filled.
-    Where there is a column push_id, each of its values is a push, called after the file and it, in the order
-    in which they come first. The torque counts as 0 where the file has none.
+    Channels share the column t but need not share rates: a channel has a row where its cells are filled. If
+    there is a column push_id, each of its values is a push, named after the file and the value, in order of
+    first appearance. The torque is 0 where the file has none.
 
     Raises:
-        DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
+        DatasetError: missing columns, cells that are not numbers, and what `trial_from_tables` refuses. Rows
             count from 0 below the header.
     """
     table = _table(content, where, columns)
@@ -134,7 +135,7 @@ def read_csv_trials(
 
 
 class _Table(NamedTuple):
-    """A file's numbers by our names, the rows of each push, and the names of columns nobody asked for."""
+    """A file's numbers by our names, the rows of each push, and the names of unknown columns."""
 
     values: Mapping[str, FloatArray]
     pushes: Mapping[str, NDArray[np.int_]]
@@ -235,7 +236,7 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
 
 
 def _further(header: list[str]) -> str:
-    """What else can be said of a header whose columns are of another kind."""
+    """Hints for headers with quaternions or split times."""
     ends = {name.rsplit(".", 1)[-1].lower() for name in header}
     said = ""
     if {"qx", "qy", "qz", "qw"} <= ends or {"x", "y", "z", "w"} <= ends:

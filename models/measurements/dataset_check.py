@@ -1,5 +1,5 @@
-"""What can be said of a push dataset before anything is learned: whether the measurements fit each other, and
-what these pushes could tell."""
+"""Check a push dataset before any learning: whether the measurements are consistent, and what the pushes
+could show."""
 
 from __future__ import annotations
 
@@ -32,35 +32,35 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
 
-_SLOW_RATE = 20.0  # Hz below which a contact is hardly seen
+_SLOW_RATE = 20.0  # Hz below which contact is hard to see
 _GAP = 0.25  # s without a pose of a moving object
-_WRONG_SHARE = 0.25  # of the pushes that are wrong, for the whole to be
-_NOTABLE_LAG = 1e-3  # m that object and finger are apart by it
+_WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong
+_NOTABLE_LAG = 1e-3  # m between object and finger because of a lag
 _FORCE_LATE = 0.01  # s
-_TAKEN = "taken off"  # says an import of a force's bias
+_TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
-_OFF_NORMAL = np.radians(25.0)  # beyond most frictions of a finger, in the median
-_ARCS = 8  # parts of the outline's length
+_OFF_NORMAL = np.radians(25.0)  # median; beyond the friction of most fingers
+_ARCS = 8  # equal parts of the outline's length
 _OCTANTS = 8
-_COASTS = 5e-3  # m that an object goes on without the finger
+_COASTS = 5e-3  # m that an object moves without the finger
 _AWAY = 2e-3  # m
-_FAST = 0.1  # m/s at which inertia tells
-_SPEEDS = 2.0  # ratio of speeds that differ
+_FAST = 0.1  # m/s above which inertia shows
+_SPEEDS = 2.0  # ratio from which speeds count as different
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     what: str
     found: str  # with numbers and units
-    verdict: Verdict  # `wrong` makes what is learned wrong
-    advice: str = ""  # what to do, where something is to be done
+    verdict: Verdict  # `wrong` means that anything learnt would be wrong
+    advice: str = ""  # what to do, if anything
 
 
 @dataclass(frozen=True)
 class Told:
-    """Whether these pushes could tell a quantity or an effect, before any fit."""
+    """Whether these pushes could show a quantity or an effect, before any fit."""
 
     name: str
     could: bool
@@ -69,24 +69,24 @@ class Told:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the pushes have in common and in which they differ."""
+    """What the pushes cover."""
 
-    pushes: int  # in which the object moves
-    arcs: int  # of eight equal lengths of the outline that were touched
-    table_octants: int  # of eight directions on the table in which the object moved
-    object_octants: int  # the same seen from the object
-    slowest: float  # of the objects' highest speeds, m/s
-    fastest: float  # the same
-    turned: float  # largest angle from begin to end, rad
-    spread: float  # largest distance between two places of the object, m
+    pushes: int  # number in which the object moves
+    arcs: int  # number of eight equal lengths of the outline that were touched
+    table_octants: int  # number of eight directions on the table in which the object moved
+    object_octants: int  # the same in the object frame
+    slowest: float  # smallest of the pushes' highest speeds, m/s
+    fastest: float  # largest of them
+    turned: float  # largest rotation from start to end, rad
+    spread: float  # extent of the positions of the object, m
     size: float  # of the object, m
-    coasting: int  # pushes in which it slides on its own
+    coasting: int  # number of pushes in which the object slides freely
     forces: bool
     mass_known: bool
 
     @property
     def speeds_differ(self) -> bool:
-        """Whether some push is much faster than another."""
+        """Whether the fastest push is more than twice as fast as the slowest."""
         return self.fastest > _SPEEDS * self.slowest
 
 
@@ -104,7 +104,7 @@ class DatasetCheck:
 
     @property
     def wrong(self) -> bool:
-        """Whether what is learned from these pushes would be wrong."""
+        """Whether anything learnt from these pushes would be wrong."""
         return any(finding.verdict == "wrong" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
@@ -122,7 +122,7 @@ class DatasetCheck:
 
 
 def check_dataset(dataset: PushDataset) -> DatasetCheck:
-    """Whether the measurements fit each other, and what they could tell, before any fit.
+    """Check whether the measurements are consistent, and what they could show, before any fit.
 
     Example:
         >>> import slipmap
@@ -151,7 +151,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
     )  # fmt: skip
 
 
-# Whether measurements fit each other.
+# Consistency of the measurements.
 
 
 def _rates(dataset: PushDataset) -> list[Finding]:
@@ -187,14 +187,14 @@ def _rates(dataset: PushDataset) -> list[Finding]:
 
 
 def _longest_blind_motion(trial: Trial) -> float:
-    """The longest time without a pose in which the object moves, s."""
+    """The longest time between poses in which the object moves, s."""
     pose = trial.object_pose
     moved = np.hypot(*np.diff(pose.values[:, :2], axis=0).T) > 1e-3
     return float(np.max(np.diff(pose.time)[moved], initial=0.0))
 
 
 def _rows_left_out(dataset: PushDataset) -> list[Finding]:
-    """Flips, zeros and stamps that go back, as reading and importing found them."""
+    """Flips, zeros and stamps that go back, as found on reading and importing."""
     texts = dict.fromkeys((*dataset.warnings, *dataset.provenance))
     found = []
     for what, words in (
@@ -212,7 +212,7 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
 
 
 def _clocks(dataset: PushDataset) -> list[Finding]:
-    """Finger against object, and force against both, by contact."""
+    """Clocks of the finger relative to the object, and of the force relative to both, from contact."""
     lags, late = [], []
     speed = []
     for trial in dataset.trials:
@@ -248,14 +248,14 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
 
 
 def _late(lag: float) -> str:
-    """Of what has to be added to stamps."""
+    """A lag in words, given what has to be added to the stamps."""
     if abs(lag) < 5e-4:
         return "0 ms"
     return f"{1e3 * abs(lag):.0f} ms {'early' if lag > 0 else 'late'}"
 
 
 def _speed(trial: Trial) -> float:
-    """Speed of the object that one row in ten exceeds, m/s."""
+    """90th percentile of the object's speed, m/s."""
     begin, end = trial.object_pose.time[[0, -1]]
     time = np.linspace(begin, end, 200)
     place = trial.object_pose.at(time)[:, :2]
@@ -335,7 +335,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     return findings
 
 
-# What they could tell.
+# What the pushes could show.
 
 
 def _coverage(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
@@ -381,7 +381,7 @@ def _octant(way: FloatArray) -> int:
 
 
 def _coasted(dataset: PushDataset, trial: Trial) -> bool:
-    """Whether the object slides on its own: from its first row, or after the finger has left it."""
+    """Whether the object slides freely: from its first row on, or after the finger has left it."""
     if trial.initial_velocity().any():
         return True
     if not trial.has_finger:
@@ -444,11 +444,11 @@ EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
     "force_gains": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
     "force_latency": (lambda c: c.forces and c.pushes > 0, "force"),
 }
-"""What pushes must be like for each effect of the library to show, and that in words."""
+"""Condition on the pushes for each effect of the library to show, and the same in words."""
 
 
 def _advice(seen: Coverage) -> list[str]:
-    """Which pushes to add, the most telling first."""
+    """Which pushes to add, the most useful first."""
     wanted = []
     if seen.pushes < 6:
         more = 6 - seen.pushes

@@ -1,7 +1,8 @@
-"""What is known of an object's maps before any push: the key `known` of a dataset.yaml, or a file of its own.
+"""Read what is known about an object's maps before any push, from the key `known` of a dataset.yaml or from a
+file of the same keys.
 
-What is said of the whole object comes first, then regions in their order, each over those before it. What
-nothing names stays free.
+Statements about the whole object apply first, then regions in order, each overriding those before it. What is
+not mentioned stays free.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ _SPREAD = Number(
 
 
 def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushDataset:
-    """The dataset with what a YAML file says is known: the keys under `known` of a dataset.yaml, at its top.
+    """The dataset with known maps from a YAML file with the keys of `known` in a dataset.yaml.
 
     Raises:
-        DatasetError: the file cannot be used, or does not fit the object; names file and key.
+        DatasetError: the file cannot be used, or does not match the object; the message names file and key.
     """
     where = str(path)
     _, document = parsing.read_yaml(Path(path), where)
@@ -45,10 +46,10 @@ def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushD
 
 
 def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -> tuple[KnownMaps, list[str]]:
-    """Known maps from a parsed mapping, and what looks wrong about it.
+    """Known maps from a parsed mapping, and warnings about it.
 
     Raises:
-        DatasetError: it cannot be used, or does not fit the object; names the key.
+        DatasetError: it cannot be used, or does not match the object; the message names the key.
     """
     warnings: list[str] = []
     fields = parsing.section(value, ("spread", "finger_friction", "regions", *_NUMBERS), where, warnings)
@@ -90,7 +91,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
 
 
 def known_document(known: KnownMaps) -> dict[str, Any]:
-    """The mapping that `parse_known` reads the same from: values and spreads of every cell."""
+    """The mapping from which `parse_known` reads the same known maps: values and spreads of every cell."""
     document: dict[str, Any] = {}
     for name in _NUMBERS:
         values, spread = getattr(known, name), getattr(known, f"{name}_spread")
@@ -109,17 +110,17 @@ def known_document(known: KnownMaps) -> dict[str, Any]:
 
 @dataclass
 class _Map:
-    """One map while it is read."""
+    """One map while it is being read."""
 
     values: FloatArray  # (n,) NaN where not known
     spread: FloatArray  # (n,)
-    ratios: bool  # whether the values' size means nothing
+    ratios: bool  # whether only the ratios of the values count
 
     @classmethod
     def parsed(
         cls, name: str, value: object, cells: int, usual: float, where: str, warnings: list[str]
     ) -> _Map:
-        """From `uniform`, a number or one number a cell, or a mapping of `value` and perhaps `spread`."""
+        """Parse `uniform`, a number, one number per cell, or a mapping of `value` and optionally `spread`."""
         fields: dict[str, Any] = {"value": value}
         if isinstance(value, dict):
             fields = parsing.section(value, ("value", "spread", "ratios"), where, warnings)
@@ -155,7 +156,7 @@ def _each(value: object, cells: int, where: str) -> list[Any]:
 def _lay(
     value: object, maps: Mapping[str, _Map], grid: CellGrid, usual: float, where: str, warnings: list[str]
 ) -> None:
-    """Lay a region over the maps: a friction coefficient, and a mass that its cells share."""
+    """Apply a region to the maps: a friction coefficient, and a mass that its cells share."""
     region = parsing.section(value, ("disc", "polygon", "spread", *_NUMBERS), where, warnings)
     cells = _cells(region, grid, where, warnings)
     spread = _SPREAD.read(region.get("spread", usual), f"{where}.spread")
@@ -174,7 +175,7 @@ def _lay(
 
 
 def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> NDArray[np.intp]:
-    """Cells whose centres lie in a region; where it is smaller than cells are, the one that it lies on."""
+    """Cells whose centres lie in a region, or the nearest cell if the region is smaller than that."""
     if ("disc" in region) == ("polygon" in region):
         raise DatasetError(f"{where}: give either a disc or a polygon, in the object frame, m")
     if "disc" in region:

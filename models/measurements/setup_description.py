@@ -1,6 +1,6 @@
-"""The part of a dataset.yaml that is not a trial: object, finger, table, gravity and sensor noise.
+"""The part of a dataset.yaml besides the trials: object, finger, table, gravity and sensor noise.
 
-Its numbers are declared once, with their units and limits; reading, checking and writing go by that.
+Its numbers are declared once, with units and limits, for reading, checking and writing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -32,20 +32,20 @@ _NOISE = {
 _DEFAULT_CELLS = 60
 _STANDARD_GRAVITY = 9.81  # m/s²
 _SMALLEST_EXTENT = 1e-3  # m
-_LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
-# What is unusual, but not refused.
+_LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers must be mm
+# Limits beyond which a value is unusual, but not refused.
 _HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
 _MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
 _NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
 def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tuple[Setup, list[str]]:
-    """Setup from the keys of a dataset.yaml, and what looks wrong about it.
+    """Setup from the keys of a dataset.yaml, and warnings about it.
 
     Args:
         document: the parsed mapping; keys beyond `SETUP_KEYS` are the caller's.
-        where: the file, for error texts.
-        default_name: name where the document gives none.
+        where: the file, for error messages.
+        default_name: name if the document gives none.
 
     Raises:
         DatasetError: a missing key, a wrong type, a number out of range, an outline that crosses itself.
@@ -75,7 +75,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
-    """The keys of a dataset.yaml that `parse_setup` reads a setup from."""
+    """The keys of a dataset.yaml from which `parse_setup` reads a setup."""
     document: dict[str, Any] = {
         "name": setup.name,
         "description": setup.description,
@@ -204,7 +204,7 @@ def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
             f"{where}: {len(outside)} of {len(grid)} centres lie outside the outline, first row {outside[0]}"
         )
     repeated = len(np.unique(grid.centers, axis=0)) < len(grid)
-    # To the nearest that is not at the same place.
+    # Distance to the nearest centre at a different place.
     _, apart = shapely.STRtree(points).query_nearest(points, exclusive=True, return_distance=True)
     if repeated or np.min(apart, initial=np.inf) < 0.5 * grid.width:
         warnings.append(f"{where}: some cells overlap by half a cell or more; each should be listed once")

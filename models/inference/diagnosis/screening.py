@@ -59,8 +59,7 @@ class Screening:
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
 
     def p_of_agreement(self) -> float:
-        """Share of sign flips whose largest gain is as large as that of the data; small where pushes
-        agree."""
+        """Share of sign flips whose largest gain reaches that of the data; small where pushes agree."""
         largest = self.turned.max(axis=0)
         return float((largest >= largest[0] - 1e-9).mean())
 
