@@ -50,9 +50,9 @@ def test_exact_contact_is_read_without_a_word(tmp_path):
 def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words):
     dataset = reread(tmp_path, straight_pushes(), change)
     assert len(dataset.trials) == 12
-    deep = [warning for warning in dataset.warnings if "mm but for" in warning]
+    deep = [warning for warning in dataset.warnings if "one correction would" in warning]
     assert len(deep) == 1, dataset.warnings
-    for word in ["the object", "of 12 pushes; it would be 0.0 mm but for one thing", *words]:
+    for word in ["the object", "of 12 pushes; one correction would make it 0.0 mm", *words]:
         assert word in deep[0], deep[0]
 
 

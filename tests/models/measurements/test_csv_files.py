@@ -228,7 +228,7 @@ def test_a_header_without_a_column_that_was_named(tmp_path):
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("tipx: a", ["csv.tipx", "there are t, object_x"]),
+        ("tipx: a", ["csv.tipx", "choose from t, object_x"]),
         ("t: {unit: min}", ["csv.t.unit: must be one of s, ms, us, ns, got 'min'"]),
         ("object_x: {unit: deg}", ["csv.object_x.unit", "m, cm, mm, um"]),
         ("object_x: {name: a}", ["csv.object_x", "'name'", "column and unit"]),

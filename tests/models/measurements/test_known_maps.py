@@ -94,7 +94,7 @@ def test_a_file_says_it_instead_of_the_description(example, tmp_path):
         ({"mass": 1.2}, ["known: mass: must be `uniform` or a list", "object.mass"]),
         ({"mass": [1.0] * CELLS}, ["known: the masses add up to 25 kg, but the object weighs 1.2 kg"]),
         ({"finger_friction": "uniform"}, ["known: finger_friction must be a number, got 'uniform'"]),
-        ({"finger_friction": {"value": 0.2, "ratios": True}}, ["finger_friction is one number"]),
+        ({"finger_friction": {"value": 0.2, "ratios": True}}, ["finger_friction is a single number"]),
         ({"frction": 0.3}, ["known: states nothing known", "frction"]),
         ({"regions": [{"mass": 1}]}, ["known: regions, row 0: give either a disc or a polygon"]),
         (
@@ -103,7 +103,7 @@ def test_a_file_says_it_instead_of_the_description(example, tmp_path):
         ),
         (
             {"regions": [{"disc": {"center": [9, 0], "radius": 0.01}, "friction": 0.1}]},
-            ["regions, row 0: lies off the object"],
+            ["regions, row 0: lies outside the object"],
         ),
         (
             {"mass": "uniform", "regions": [{"disc": {"center": [0, 0], "radius": 0.01}, "mass": 0.1}]},

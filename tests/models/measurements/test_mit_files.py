@@ -129,7 +129,7 @@ def test_an_object_of_ones_own(tmp_path):
 def test_the_object_must_be_known(tmp_path):
     nameless = write_json(tmp_path / "pushes", name="push_{}")
     with pytest.raises(
-        DatasetError, match=r"does not say which object was pushed .* \(ellip1, .* or a YAML file"
+        DatasetError, match=r"does not say which object was pushed.* \(ellip1, .* or a YAML file"
     ):
         read_dataset(nameless)
     assert read_dataset(nameless, object_name="rect1").mass == 0.8374

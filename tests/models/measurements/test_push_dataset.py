@@ -36,7 +36,7 @@ def test_channel_refuses(time, values, complaint):
 
 
 def test_trial_refuses_wrong_columns_roles_and_single_poses():
-    with pytest.raises(DatasetError, match=r"a\.json: tip_pose needs 2 columns beside time, has 3"):
+    with pytest.raises(DatasetError, match=r"a\.json: tip_pose needs 2 columns besides time, has 3"):
         Trial("a.json", "fit", channel(5, 3), channel(5, 3))
     with pytest.raises(DatasetError, match=r"a\.json: role must be fit or heldout, got 'test'"):
         Trial("a.json", "test", channel(5, 3), channel(5, 2))
