@@ -400,7 +400,7 @@ def _stands_still(setup: Setup, trial: Trial) -> bool:
 
 
 def _pulls(setup: Setup, trial: Trial) -> bool:
-    """Whether the force does negative work on the object along most of the finger's path."""
+    """Whether the force opposes the finger's motion along most of its path."""
     if trial.ft_wrench is None or len(trial.tip_pose.time) < 2:
         return False
     times, force = trial.ft_wrench.time, trial.ft_wrench.values[:, :2]

@@ -1,4 +1,4 @@
-"""Which files there are, and the reader of each kind."""
+"""Find files that can be read, and the reader for each kind."""
 
 from __future__ import annotations
 
@@ -26,16 +26,15 @@ _READERS: dict[str, Reader] = {
 }
 _SPREADSHEETS = (".xlsx", ".xls", ".ods")
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".pt", ".pth", ".joblib")
-_NO_TABLES = ("readme", "license")  # beginnings of names of texts in a folder of tables
+_NO_TABLES = ("readme", "license")  # starts of names of texts that are not tables
 KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
 
 
 def find_files(paths: Sequence[Path]) -> dict[str, Path]:
-    """Files that can be read, by the names by which a setup.yaml may call them, in order: those of a folder
-    by their path in it.
+    """Files that can be read, in order, by their names for a setup.yaml; in a folder, the path inside it.
 
     Raises:
-        DatasetError: a path that is missing, a file of another kind, or a folder that holds none.
+        DatasetError: a missing path, a file of another kind, or a folder without readable files.
     """
     found: dict[str, Path] = {}
     for path in paths:
@@ -82,7 +81,7 @@ def _instead(path: Path) -> str:
 
 
 def read_sources(path: Path, where: str, wanted: Collection[str] = ()) -> list[Source]:
-    """The tables of a file; of a bag the wanted topics alone, if any are named. Raises DatasetError."""
+    """The tables of a file; for a bag, only the wanted topics if any are named. Raises DatasetError."""
     ending = path.suffix.lower()
     if ending in BAG_ENDINGS or (path.is_dir() and ending != ".zarr"):
         return read_bag(path, where, wanted)

@@ -1,8 +1,8 @@
-"""What a setup.yaml says: beside object, finger, table and noise, as a dataset.yaml, where object pose,
-finger and force are in a laboratory's files, and how they are measured.
+"""Parse a setup.yaml. Besides object, finger, table and noise, as in a dataset.yaml, it states where object
+pose, finger and force are in a laboratory's files, and how they were measured.
 
-The three channels are called as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that hold for
-all of them may stand at the top.
+The three channels are named as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that apply to
+all of them may be given at the top level.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UPWARD = ("z", "y", "x", "-z", "-y", "-x")
 """Axes of a source that may point up."""
 
 CONTACT = "contact"
-"""For `clock` and, of the force, `frame`: what makes contact fit."""
+"""Value of `clock` and of the force's `frame`: fit to the contact."""
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "position": csv_files.LENGTHS,
@@ -34,7 +34,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": csv_files.TORQUES,
     "time": csv_files.TIMES,
 }
-"""What a unit may be of, and how much of the SI unit each is."""
+"""Quantities with units, and the factors from each unit to SI."""
 
 _SHARED = ("source", "time", "rate", "unit", "up", "frame", "push")
 _RATE = Number("Hz", 1e-3, 1e6)
@@ -42,28 +42,29 @@ _RATE = Number("Hz", 1e-3, 1e6)
 
 @dataclass(frozen=True)
 class ChannelSetup:
-    """Where a channel is in the files, and how it was measured."""
+    """Location of a channel in the files, and how it was measured."""
 
-    source: str = "*"  # pattern of the files' names
+    source: str = "*"  # pattern of the file names
     part: str = ""  # topic, rigid body or path inside the file
     time: tuple[str, ...] = ()  # column of time, or those of seconds and nanoseconds
-    rate: float | None = None  # rows a second, where the file has frame numbers or no time at all, Hz
+    rate: float | None = None  # rows per second if the file has frame numbers or no time at all, Hz
     push: str = ""  # column that numbers pushes
-    # The columns of each: a name each, or one name whose x, y, z they are; empty where the file's kind tells.
+    # Columns of each quantity: one name each, or one name whose x, y, z they are; empty if the kind of file
+    # determines them.
     position: tuple[str, ...] = ()
     angle: tuple[str, ...] = ()
     quaternion: tuple[str, ...] = ()  # x, y, z, w
     rotation_vector: tuple[str, ...] = ()
     force: tuple[str, ...] = ()
     torque: tuple[str, ...] = ()
-    unit: Mapping[str, float] = field(default_factory=dict)  # SI units in one of each quantity
-    up: str = ""  # which axis points up; as the kind of file has it, else z
-    frame: FloatArray | None = None  # (4, 4) pose of the source's frame in the table's; None is equal
-    turned_by_contact: bool = False  # whether the force is turned to fit the contact
+    unit: Mapping[str, float] = field(default_factory=dict)  # factor to SI for each quantity
+    up: str = ""  # axis that points up; by default that of the kind of file, else z
+    frame: FloatArray | None = None  # (4, 4) pose of the source's frame in the table's; None if equal
+    turned_by_contact: bool = False  # whether the force is rotated to fit the contact
     sign: float = 1.0  # of the angle, or of the force
-    offset: FloatArray | None = None  # where outline or finger sit in the tracked frame; the force's bias
-    clock: float | Literal["contact"] | None = None  # added to stamps, s; None is whatever is known
-    named: bool = True  # whether the setup speaks of it; else it is taken where its usual columns are
+    offset: FloatArray | None = None  # pose of outline or finger in the tracked frame; bias of the force
+    clock: float | Literal["contact"] | None = None  # added to stamps, s; None if not stated
+    named: bool = True  # whether the setup mentions it; otherwise it is used if its usual columns exist
     usual: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # columns under the key `csv`
 
 
@@ -77,7 +78,7 @@ class ImportSetup:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Topics that are wanted of bags; empty where some channel names none."""
+        """Topics wanted from bags; empty if any channel names none."""
         named = [channel.part for channel in self.channels.values() if channel.named]
         return tuple(named) if named and all(named) else ()
 
@@ -85,17 +86,17 @@ class ImportSetup:
 def parse_import_setup(
     document: dict[str, Any], where: str, default_name: str, described: dict[str, Any] | None = None
 ) -> ImportSetup:
-    """A setup.yaml out of its parsed mapping.
+    """Build an import setup from a parsed mapping.
 
     Args:
-        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and what channels share.
-        where: the file, for error texts.
-        default_name: of the dataset, where the document gives none.
-        described: keys `object` and `finger` where the document has none.
+        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and keys that channels share.
+        where: the file, for error messages.
+        default_name: of the dataset, if the document gives none.
+        described: keys `object` and `finger`, if the document has none.
 
     Raises:
-        DatasetError: a key that is missing, unknown or wrong. A slip of the pen in a transform would make all
-            numbers wrong, so that unknown keys are refused.
+        DatasetError: a key that is missing, unknown or wrong. Unknown keys are refused because a typing error
+            in a transform would make all numbers wrong.
     """
     known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv"}
     unknown = parsing.unknown_keys(document, known, where)
@@ -109,7 +110,7 @@ def parse_import_setup(
     channels = {}
     for name in CHANNELS:
         if name in document and document[name] is None:
-            continue  # it was not measured, whatever columns there are
+            continue  # null: not measured, whatever columns there are
         place = f"{where}: {name}"
         said = parsing.mapping(document.get(name, {}), place)
         found = _channel(name, shared | said, place)
@@ -124,14 +125,14 @@ def parse_import_setup(
 
 
 def _filled(said: object, described: object) -> object:
-    """What a setup says; where it says nothing, or null, what describes the object."""
+    """A setup's value with missing or null entries filled in from the object's description."""
     if isinstance(said, dict) and isinstance(described, dict):
         return described | {key: value for key, value in said.items() if value is not None}
     return described if said is None else said
 
 
 def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
-    """The columns of a channel by the key `csv`, and their units where they are not SI."""
+    """The columns of a channel from the key `csv`, and their units where not SI."""
     names = [columns.names[ours] for ours in CHANNELS[name]]
     kinds = ("force", "force", "torque") if name == "ft_wrench" else ("position", "position", "angle")
     usual: dict[str, tuple[str, ...]] = {"time": (columns.names["t"],)}
@@ -143,7 +144,7 @@ def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[st
 
 
 def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
-    """A channel as `entry` says."""
+    """A channel from its entry in the setup."""
     force = name == "ft_wrench"
     columns = ("force", "torque") if force else ("position", "angle", "quaternion", "rotation_vector")
     allowed = {*_SHARED, "part", "sign", "offset", "clock", *columns}
@@ -173,11 +174,11 @@ _COUNTS = {
     "time": (1, 2), "position": (1, 2, 3), "angle": (1,), "quaternion": (1, 4), "rotation_vector": (1, 3),
     "force": (1, 2, 3), "torque": (1,),
 }  # fmt: skip
-"""How many columns each may be given by."""
+"""Allowed numbers of columns for each quantity."""
 
 
 def _name(value: object, where: str) -> str:
-    """The name of a file, of a part or of a column, which may be a number."""
+    """The name of a file, part or column; a column may be a number."""
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return str(value)
     return parsing.text(value, where)
@@ -196,7 +197,7 @@ def _rate(value: object, where: str, force: bool) -> dict[str, Any]:
 
 
 def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
-    """A unit alone is that of the position or of the force."""
+    """Units by quantity; a single unit is that of the position or of the force."""
     if isinstance(value, str):
         kinds = ("force",) if force and value in UNITS["force"] else ("position",)
         said = {kind: value for kind in kinds}
@@ -220,7 +221,7 @@ def _up(value: object, where: str, force: bool) -> dict[str, Any]:
 
 
 def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
-    """x, y and an angle; x, y, z and a quaternion; or a matrix of four rows."""
+    """A frame from x, y and an angle; from x, y, z and a quaternion; or from a matrix of four rows."""
     if value == CONTACT:
         return {"turned_by_contact": True}
     if not isinstance(value, list):
@@ -254,7 +255,7 @@ def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
 
 
 def _angle(value: object, where: str) -> float:
-    """rad, or a text such as `45 deg`."""
+    """An angle in rad from a number or a text such as `45 deg`."""
     match = re.fullmatch(r"\s*([-+\d.]+)\s*(deg|rad)\s*", value) if isinstance(value, str) else None
     if match is None:
         return parsing.number(value, where)

@@ -1,7 +1,7 @@
-"""Tables in text: CSV of any dialect, logs with blanks between cells, `rostopic echo -p`, and exports of
-motion-capture programs.
+"""Read tables from text: CSV of any dialect, logs with blanks between cells, `rostopic echo -p`, and exports
+of motion-capture programs.
 
-Cells stay texts until a column is asked for, so that words in other columns do no harm.
+Cells stay texts until a column is requested, so that words in other columns do no harm.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log")
 
 _CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)$")
 _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
-"""Stamps since 1970 above the first number count so many a second: none between 1973 and 5138 is both."""
+"""Stamps since 1970 above the first number count this many per second; unambiguous from 1973 to 5138."""
 
 _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
-"""First line of some exports, which says what parts the cells; the others show it."""
+"""First line of some exports, which states the separator of the cells."""
 
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+")
 _LINES_SNIFFED = 30
@@ -38,7 +38,7 @@ def read_text(path: Path, where: str) -> list[Source]:
     """The tables of a text file.
 
     Raises:
-        DatasetError: no text, no rows, or rows of other lengths than the header.
+        DatasetError: not text, no rows, or rows whose length differs from the header's.
     """
     content = parsing.read_bytes(path, LARGEST_FILE)
     encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
@@ -62,7 +62,7 @@ def read_text(path: Path, where: str) -> list[Source]:
 
 
 def _sign(lines: Sequence[str]) -> str | None:
-    """What parts the cells: comma, semicolon, tab, or (None) blanks."""
+    """The separator of the cells: comma, semicolon, tab, or None for blanks."""
     sample = [line for line in lines if line.strip() and not _is_comment(line)][:_LINES_SNIFFED]
     for sign in (";", "\t"):
         if sample and all(sign in line for line in sample[:2]):
@@ -75,7 +75,7 @@ def _sign(lines: Sequence[str]) -> str | None:
 
 
 def _decimal_commas(sample: Sequence[str]) -> bool:
-    """Whether the commas are those of numbers, between blanks."""
+    """Whether the commas are decimal commas of numbers between blanks."""
     cells = sample[-1].split()
     return len(cells) > 1 and all(re.fullmatch(r"[-+]?\d+(,\d+)?(e[-+]?\d+)?", cell, re.I) for cell in cells)
 
@@ -98,7 +98,7 @@ def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
 
 
 def _table(text: str, lines: Sequence[str], where: str) -> Source:
-    """A table with one line of header, or none, in whatever dialect."""
+    """A table with one header line or none, in any dialect."""
     comments = 0
     while comments < len(lines) and (_is_comment(lines[comments]) or not lines[comments].strip()):
         comments += 1
@@ -122,7 +122,7 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
     names = [name.strip() for name in names]
     wide = {len(row) for row in rows}
     if len(names) > 1 and not names[-1] and wide <= {0, len(names), len(names) - 1}:
-        names = names[:-1]  # every line ends in the sign
+        names = names[:-1]  # every line ends with the separator
     source = Source(where, "", _columns(names, rows, where), decimal=decimal)
     if names and names[0] == "%time":  # rostopic echo -p
         stamp = next((name for name in names if name.endswith("header.stamp")), "%time")
@@ -132,7 +132,7 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
 
 
 def _is_header(comment: str, line: str, sign: str | None) -> bool:
-    """Whether a line of comment before the first row names its columns."""
+    """Whether a comment line before the first row names the columns."""
     names = comment.split(sign)
     return len(names) > 1 and len(names) == len(line.split(sign))
 
@@ -155,7 +155,7 @@ def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
 
 
 def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: str) -> bool:
-    """Whether every cell of a row is a word or empty, and numbers stand under the words."""
+    """Whether every cell of a row is a word or empty, with numbers below the words."""
     words = [k for k, cell in enumerate(first) if cell.strip().lower() not in NO_NUMBER]
     if not words or any(any(sign.isdigit() for sign in first[k]) or _numeric(first[k]) for k in words):
         return False
@@ -163,7 +163,7 @@ def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: st
 
 
 def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> dict[str, Column]:
-    """Columns by name; of two of one name the second is called name.1, and so on."""
+    """Columns by name; the second of two with the same name becomes name.1, and so on."""
     filled = [row for row in rows if row]
     for number, row in enumerate(filled):
         if len(row) != len(names) and not (len(row) == len(names) + 1 and not row[-1].strip()):
@@ -183,11 +183,11 @@ def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) ->
 
 
 def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple[FloatArray, str]:
-    """(T,) times of one column, or of seconds and nanoseconds, s; and what was concluded, empty where nothing
-    was.
+    """(T,) times, s, from one column or from seconds and nanoseconds, and a remark on how they were read, or
+    "".
 
-    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count `unit`
-    seconds each; without one, stamps since 1970 are known by their size and all others are s.
+    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count in units of
+    `unit` seconds; without one, stamps since 1970 are recognised by their size and all others are in s.
     """
     if len(columns) == 2:
         return source.numbers(columns[0]) + 1e-9 * source.numbers(columns[1]), ""
@@ -231,9 +231,9 @@ def _moment(cell: str) -> float | None:
 
 
 def _motive(rows: list[list[str]], where: str) -> list[Source]:
-    """Rigid bodies of an export of OptiTrack Motive: name, x, y, z and a quaternion each, on one clock.
+    """Rigid bodies of an OptiTrack Motive export: name, x, y, z and a quaternion each, on one clock.
 
-    Motive's world has y up unless its export was told otherwise, which the file does not say.
+    Motive's world has y up unless the export was configured otherwise, which the file does not show.
     """
     said = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     length = _LENGTHS.get(said.get("Length Units", "Meters").strip().lower())
@@ -278,7 +278,7 @@ def _motive(rows: list[list[str]], where: str) -> list[Source]:
 
 
 def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]:
-    """Columns x, y, z, w of Euler angles X, Y, Z in degrees, turned about moving axes in an order."""
+    """Columns x, y, z, w from Euler angles X, Y, Z in degrees about moving axes in a given order."""
     from scipy.spatial.transform import Rotation
 
     if sorted(order.upper()) != ["X", "Y", "Z"]:
@@ -293,7 +293,7 @@ def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]
 
 
 def _vicon(rows: list[list[str]], where: str) -> list[Source]:
-    """Objects of an export of Vicon Tracker or Nexus, whose frames count from a rate in the second line."""
+    """Objects of a Vicon Tracker or Nexus export, whose frames count at the rate in the second line."""
     place = next((k for k, row in enumerate(rows[:12]) if row and row[0].strip() == "Frame"), None)
     if place is None or place < 2:
         raise DatasetError(f"{where}: this Vicon export lacks the line Frame; export it again")
