@@ -174,14 +174,14 @@ def _factors(
     """All conditions that residuals are tested on; `turned` are further components, for motion only."""
     directed = _join(_onward, _sideways, *turned)
     return (
-        Factor("overall", f"everywhere alike: {amiss}", _always, _onward),
-        Factor("table_drift", "one direction of the table", _always, _join(_world, *turned)),
-        Factor("object_drift", "one direction of the object", _always, _in_object),
+        Factor("overall", f"everywhere {amiss}", _always, _onward),
+        Factor("table_drift", "one direction on the table", _always, _join(_world, *turned)),
+        Factor("object_drift", "one direction in the object frame", _always, _in_object),
         Factor("table_place", "place on the table", _table_place, place),
         Factor("contact_place", "place of contact on the object", _contact_place, contact),
         Factor("speed", "speed", _speed, _onward),
         Factor("table_direction", "direction of motion on the table", _table_direction, directed),
-        Factor("object_direction", "direction of motion seen from the object", _object_direction, directed),
+        Factor("object_direction", "direction of motion in the object frame", _object_direction, directed),
         Factor("phase", "phase of the push", _phase, _onward, along_the_push=True),
         Factor("time", "time within the push", _time, _onward, along_the_push=True),
         Factor("order", "order of the pushes", _order, _join(_onward, _world, *turned)),

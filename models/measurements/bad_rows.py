@@ -124,9 +124,9 @@ def _jumps(
             continue
         huge = bool((step[first] > _END_FACTOR).any())
         if first < _END_ROWS and huge:
-            jumps.append((np.arange(first + 1), _words(step[first], "to what follows")))
+            jumps.append((np.arange(first + 1), _words(step[first], "relative to the next row")))
         elif first >= len(time) - 1 - _END_ROWS and huge:
-            jumps.append((np.arange(first + 1, len(time)), _words(step[first], "from what came before")))
+            jumps.append((np.arange(first + 1, len(time)), _words(step[first], "relative to the row before")))
             break
         else:
             stays.append((first, _words(step[first], "").strip()))

@@ -124,7 +124,7 @@ class _Map:
         fields: dict[str, Any] = {"value": value}
         if isinstance(value, dict):
             fields = parsing.section(value, ("value", "spread", "ratios"), where, warnings)
-            parsing.required(fields, "value", where, "give what is known")
+            parsing.required(fields, "value", where, "give the known value")
         value, spread, ratios = fields["value"], fields.get("spread", usual), fields.get("ratios", False)
         if not isinstance(ratios, bool):
             raise DatasetError(f"{where}.ratios: must be true or false, got {parsing.shown(ratios)}")

@@ -88,7 +88,7 @@ class Diagnosis(Outcome):
     quick: bool  # whether calibration was skipped
     seconds: float  # run time
     seed: int  # of all random draws
-    # the push to make next as plain numbers, filled in by a planner; None where nothing is to be told apart
+    # the push to make next as plain numbers, filled in by a planner; None where it would decide nothing
     next_push: dict[str, object] | None = field(default=None)
 
     @property
