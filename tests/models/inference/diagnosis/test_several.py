@@ -63,7 +63,7 @@ def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
 
 
 def test_an_unknown_owner_is_refused(recorded):
-    with pytest.raises(ValueError, match="there is no 'force_sensor'; there are object, table, tracker"):
+    with pytest.raises(ValueError, match="unknown owner 'force_sensor'; choose from object, table, tracker"):
         diagnose_together([recorded.dataset], apart=["force_sensor"])
 
 
