@@ -195,7 +195,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         else "motion is so slow that friction outweighs inertia; coasting or a fast start would show it"
     )
     hardly_turned = "the object hardly turns in these pushes"
-    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn it too similarly"
+    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn the object too similarly"
     no_axis = "no push turns the object in a way that shows this coordinate"
     no_contact = (
         "the contact sticks in all pushes, or slides the same way in all"

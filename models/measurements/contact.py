@@ -315,8 +315,8 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
     )
     if best is None:
         return (
-            f"{said}no rotation or reflection corrects it; ft_wrench must be the force of the finger on the"
-            " object in the world frame, is it in the sensor's or the tool's?"
+            f"{said}no rotation or reflection corrects it. ft_wrench must be the force of the finger on the"
+            " object in the world frame; is it in the sensor's or the tool's?"
         )
     return (
         f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench must be the force of the finger on the object"

@@ -278,7 +278,8 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
             "check theta's sign, the frames, the clocks, which point of the finger was recorded, and"
             " finger.radius"
         )
-        return [Finding("contact", f"{text}; too deep in {deep.sum()} of {len(rows)}", "wrong", advice)]
+        text += f"; too deep in {deep.sum()} of {len(rows)} pushes"
+        return [Finding("contact", text, "wrong", advice)]
     if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
         return [Finding("contact", text, "note", "is finger.radius, or the outline, too small?")]
     return [Finding("contact", text, "good")]

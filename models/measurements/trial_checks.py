@@ -53,8 +53,8 @@ _FRAME_WRONG = ("sign", "turn")
 """Kinds of causes that mean a wrong object frame, which no effect explains."""
 
 _PULLS = (
-    "the force points against the finger's motion, as if it pulled; ft_wrench must be the force of the finger"
-    " on the object, is its sign reversed?"
+    "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
+    " on the object; is its sign reversed?"
 )
 _FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
 
@@ -114,7 +114,7 @@ def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> No
     if lasts > longest:
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
-            " times must be in s, were these milliseconds? Cut a long recording into its pushes"
+            " times must be in s; were these milliseconds? Cut a long recording into its pushes"
         )
 
 
@@ -359,7 +359,7 @@ def _degrees(pose: Channel, where: str) -> list[str]:
     if np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN or (swept > 1.05 * _WHOLE_TURN and path < 1.0):
         return [
             f"{where}, object_pose: theta runs from {theta.min():.3g} to {theta.max():.3g} while the object"
-            f" moves {path:.2g} m; angles must be in rad, were these degrees?"
+            f" moves {path:.2g} m. Angles must be in rad; were these degrees?"
         ]
     return []
 

@@ -319,7 +319,7 @@ class Inquiry:
         rest: dict[str, Screening] = {}
         faint: list[str] = []
         for step, name in enumerate(asked):
-            self.report("asking what is left", step, len(asked))
+            self.report("checking what is left", step, len(asked))
             rival = self.rules.rivals_the_best(gains[name], best)
             if not (rival or self.draws):
                 continue
@@ -332,7 +332,7 @@ class Inquiry:
                 faint.append(name)
         if faint and not self.accepted:
             self.accepted, self.faint = faint, True
-        self.report("asking what is left", len(asked), len(asked))
+        self.report("checking what is left", len(asked), len(asked))
         return rest
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
@@ -364,7 +364,7 @@ class Inquiry:
         effect = None
         with suppress(RolloutError):
             effect = named_by_evidence(
-                divided, self.effects, seed, partial(self.report, "asking a forgiving fit")
+                divided, self.effects, seed, partial(self.report, "trying a forgiving fit")
             )
         if effect is None:
             return None

@@ -259,7 +259,7 @@ def objection(
     for effect in effects:
         if holds_null(effect, learnt):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
-            return f"{whose} 90 % interval includes no effect at all"
+            return f"{whose} 90 % interval is consistent with no effect at all"
     if locked_pushes_object(rough, before, after):
         return "the locked pushes are not clearly predicted better with it"
     if locked_pushes_stay_off(before, after):

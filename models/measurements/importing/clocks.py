@@ -258,7 +258,7 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
         return None
     rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
     if not rises:
-        return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "by when it is large", by_touch=False)
+        return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "from when it is large", by_touch=False)
     rise = lag_by_rises(rises, force)
     return rise._replace(value=coarse + rise.value)
 
