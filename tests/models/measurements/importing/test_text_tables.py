@@ -150,7 +150,7 @@ def test_motive_in_euler_angles(tmp_path):
         ("", "empty"),
         ("t,x\n", "no rows"),
         ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
-        ("a\0b", "no text"),
+        ("a\0b", "not a text file"),
         ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
         ("Objects\nfast\n,,a\nFrame,Sub Frame,RX\n,,deg\n1,0,1\n", "the rate in Hz"),
     ],
