@@ -43,7 +43,7 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["object", "outline"], [[0, 0], [1e-5, 0], [0, 1e-5]]), ["outline: is only 1e-05 m across"]),
         (set_at(["object", "cells", "centers", 3, 1], 1e200), ["object.cells: reaches 1e+200 m"]),
         (set_at(["object", "cells", "width"], 20.0), ["object.cells: reaches 20 m"]),
-        (set_at(["noise", "position"], 1e300), ["noise.position: standard deviation must lie between 0 and"]),
+        (set_at(["noise", "position"], 1e300), ["noise.position: a standard deviation must lie"]),
         (set_at(["object", "outline"], [[0, 0], [1, 0]]), ["at least three corners"]),
         (set_at(["object", "outline", 2], [0.05, math.nan]), ["outline, row 2", "two finite numbers"]),
         (set_at(["object", "holes"], 3), ["object.holes: must be a list of rings", "got 3"]),

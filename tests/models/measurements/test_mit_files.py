@@ -156,7 +156,7 @@ def test_a_folder_is_about_one_object(tmp_path):
 def test_two_surfaces_are_mentioned(tmp_path):
     write_json(tmp_path / "pushes", 0)
     write_json(tmp_path / "pushes", 1, name="motion_surface=abs_shape=rect1_{}")
-    assert "surfaces abs, plywood" in read_dataset(tmp_path / "pushes").warnings[0]
+    assert "surfaces, abs, plywood" in read_dataset(tmp_path / "pushes").warnings[0]
 
 
 @pytest.mark.parametrize("write", [write_json, write_hdf5])
@@ -203,7 +203,7 @@ def hdf5_of(change):
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=[["a", "b"]])), "must contain numbers"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=np.zeros((3, 5)))), r"the shape \(3, 5\)"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=1.0)), r"the shape \(\)"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", (10**12, 4), "f8", chunks=(9, 4))), "more"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", (10**12, 4), "f8", chunks=(9, 4))), "at most"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=h5py.Empty("f"))), "tip_pose"),
         (hdf5_of(lambda file: file.update(tip_pose=h5py.ExternalLink("/etc/passwd", "/x"))), "is missing"),
         (hdf5_of(lambda file: file.update(tip_pose=h5py.SoftLink("/object_pose"))), "is missing"),
