@@ -1,4 +1,4 @@
-"""What is known of an object after some pushes: hypotheses about its maps, with probabilities."""
+"""What is known about an object after some pushes: hypotheses about its maps, with probabilities."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 
 FORMAT = "slipmap-belief/1"
 LARGEST_FILE = 2**29
-"""Bytes of a belief, unpacked; 1000 hypotheses about 5000 cells have 80 MB."""
+"""Most bytes of an unpacked belief; 1000 hypotheses about 5000 cells take 80 MB."""
 
 END_ERRORS = "end_errors"
-"""Under this name a belief keeps what `cross_validation.end_errors` says of the pushes that taught it."""
+"""Key under which a belief stores the `cross_validation.end_errors` of the pushes that taught it."""
 
-_ANEW = "`slipmap identify` or `slipmap fit` writes it anew"
+_ANEW = "write it again with `slipmap identify` or `slipmap fit`"
 
 _DAMAGE = (
     OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, EOFError, OverflowError,
     RuntimeError, MemoryError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, SyntaxError,
 )  # fmt: skip
-"""What unpacking a damaged archive can raise."""
+"""Errors that unpacking a damaged archive can raise."""
 
 
 class BeliefError(ValueError):
-    """A belief file that is damaged, of another kind, or does not fit what it is used with."""
+    """A belief file that is damaged, of another kind, or does not match what it is used with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +56,15 @@ class Belief:
         gravity: m/s².
         maps: K mass and friction maps with finger frictions.
         probability: (K,) sums to one.
-        smoothing: how softly the model was run when the maps were found; predictions use the same.
+        smoothing: contact smoothing of the model with which the maps were found; predictions use the same.
         dataset: name of the dataset that taught it.
         fingerprint: hash of that dataset.
         method: `gauss-newton` or `paper`.
         seed: of every random draw.
-        settings: everything else that shaped the result, JSON-able.
-        versions: of slipmap and of the libraries that compute.
-        effects: that the model has; the maps carry their parameters.
-        table: on which it was pushed, where known.
+        settings: everything else that shaped the result, JSON-serialisable.
+        versions: of slipmap and of its numerical libraries.
+        effects: effects in the model; the maps carry their parameters.
+        table: the table on which the object was pushed, where known.
 
     Example:
         >>> import tempfile
@@ -100,19 +100,19 @@ class Belief:
         wanted = sum(len(effect.parameters) for effect in self.effects)
         if self.maps.effects.shape[1] != wanted:
             raise BeliefError(
-                f"belief: maps with {self.maps.effects.shape[1]} effect parameters, its effects have {wanted}"
+                f"belief: the maps have {self.maps.effects.shape[1]} effect parameters, the effects {wanted}"
             )
         p = np.asarray(self.probability, dtype=float)
         numbers = p.shape == (len(self.maps),) and np.isfinite(p).all()
         if not numbers or (p < 0).any() or abs(p.sum() - 1) > 1e-6:
             raise BeliefError(
-                "belief: probabilities must be one number a hypothesis, none negative, summing to 1"
+                "belief: probabilities must be one non-negative number per hypothesis and sum to 1"
             )
         object.__setattr__(self, "probability", p)
 
     @property
     def taught(self) -> int:
-        """From how many pushes it was learnt; 0 where it does not say."""
+        """Number of pushes it was learnt from; 0 where this was not recorded."""
         return len(self.settings.get("fit_trials", ()))
 
     @classmethod
@@ -128,17 +128,17 @@ class Belief:
         trials: Sequence[str],
         settings: Mapping[str, Any],
     ) -> Belief:
-        """What was learnt from pushes of a dataset, with what it was learnt from on record.
+        """A belief learnt from pushes of a dataset, with its origin on record.
 
         Args:
             dataset: the pushes.
-            slider: the model, with its effects and as softly as it was run.
+            slider: the model, with its effects and its contact smoothing.
             maps: K hypotheses.
-            probability: (K,) of them.
+            probability: (K,) of the hypotheses.
             method: `gauss-newton` or `paper`.
             seed: of every random draw.
             trials: names of the pushes that taught.
-            settings: what else shaped the result.
+            settings: everything else that shaped the result.
         """
         return cls(
             grid=dataset.grid,
@@ -173,13 +173,13 @@ class Belief:
         )  # fmt: skip
 
     def on(self, table: Table | None) -> Belief:
-        """The same hypotheses about pushes on another table, or on one whose rim is not known."""
+        """The same hypotheses for pushes on another table; None is a table whose rim is not known."""
         return self if table == self.table else replace(self, table=table)
 
     @property
     def end_errors(self) -> FloatArray:
-        """(3,) what the model is off by where a push ends, beyond what hypotheses differ by: standard
-        deviations of x, y (shares of the cells' way) and θ (rad a metre of way); zero where not learnt."""
+        """(3,) model error at the end of a push beyond the spread of the hypotheses: standard deviations of
+        x, y (shares of the cells' travel) and θ (rad per metre of travel); zero where not learnt."""
         place, turn = self.settings.get(END_ERRORS, [0.0, 0.0])
         return np.array([place, place, turn / radius_of_gyration(self.grid)])
 
@@ -191,11 +191,11 @@ class Belief:
 
     @property
     def friction_forces(self) -> FloatArray:
-        """(K,) friction force of the whole object in plain sliding, Σ mu_i m_i g, N."""
+        """(K,) friction force of the whole object in pure translation, Σ mu_i m_i g, N."""
         return (self.maps.mass * self.maps.mu).sum(axis=1) * self.gravity
 
     def save(self, path: str | Path) -> None:
-        """Write to an `.npz` file; the file appears whole or not at all.
+        """Write to an `.npz` file, atomically.
 
         Raises:
             BeliefError: the folder does not exist or cannot be written.
@@ -243,20 +243,20 @@ class Belief:
 
         Args:
             path: of the file.
-            known: effects that it may carry; it holds their names and parameters, not their formulas.
+            known: effects that it may carry; the file holds their names and parameters, not their formulas.
 
         Raises:
-            BeliefError: the file is missing, not a belief, damaged, of a newer format, or it carries an
-                effect that is not known.
+            BeliefError: the file is missing, not a belief, damaged, of another format, or carries an unknown
+                effect.
         """
         path = Path(path)
         if path.is_dir():
             inside = sorted(path.glob("*.npz"))
             hint = f"; did you mean {inside[0]}?" if inside else ""
-            raise BeliefError(f"{path} is a folder, a belief is a file{hint}")
+            raise BeliefError(f"{path} is a folder, but a belief is a file{hint}")
         if not path.is_file():
             raise BeliefError(
-                f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"
+                f"there is no belief file {path}; make one with `slipmap identify DATASET -o {path.name}`"
             )
         if not zipfile.is_zipfile(path):
             raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive; {_ANEW}")
@@ -264,11 +264,13 @@ class Belief:
             check_archive(path, LARGEST_FILE)
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
-                    raise BeliefError(f"{path} is not a belief file: it has no description in it; {_ANEW}")
+                    raise BeliefError(f"{path} is not a belief file: it contains no description; {_ANEW}")
                 meta = json.loads(str(archive["meta"]))
                 if not isinstance(meta, dict) or meta.get("format") != FORMAT:
                     found = meta.get("format") if isinstance(meta, dict) else None
-                    raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}; {_ANEW}")
+                    raise BeliefError(
+                        f"{path} has format {found!r}, but this version reads {FORMAT!r}; {_ANEW}"
+                    )
                 holes = [f"hole_{i}" for i in range(int(meta["holes"]))]
                 carried = [str(name) for name in meta.get("effects", [])]
                 names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability", *holes]
@@ -310,7 +312,7 @@ class Belief:
 
 
 def _table_of(written: dict[str, Any] | None) -> Table | None:
-    """The table that a belief file carries, checked; older files carry none."""
+    """The table stored in a belief file, checked; older files have none."""
     if written is None:
         return None
     center, size = [float(value) for value in written["center"]], written["size"]
@@ -334,7 +336,7 @@ def _checksum(arrays: dict[str, FloatArray]) -> str:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of slipmap and of what computes for it."""
+    """Versions of slipmap and of its numerical libraries."""
     versions = {}
     for name in ("slipmap", "numpy", "scipy", "numba"):
         try:

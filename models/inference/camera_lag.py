@@ -1,4 +1,4 @@
-"""By how much the camera's clock seems late beside the arm's, from how finger and object move."""
+"""Lag of the camera's clock behind the arm's, from the motion of finger and object."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress
 
 _CERTAIN = 0.01
-"""s up to which a lag may be none: poses that are seen past the arm may be half a millimetre too far along,
-as if an object that is pushed at 50 mm/s were 10 ms early."""
+"""Lag, in s, below which there may be none: poses seen past the arm may be half a millimetre too far along,
+which for an object pushed at 50 mm/s looks like being 10 ms early."""
 
 
 @dataclass(frozen=True)
 class CameraLag:
-    """How late object poses are beside finger positions."""
+    """Lag of object poses behind finger positions."""
 
     value: float  # s; negative where poses are early
     # low, high: 90 % interval over refits, widened by `_CERTAIN`, s
     low: float
     high: float
-    pushes: int  # that show it
+    pushes: int  # number of pushes that it was learnt from
 
     @property
     def shown(self) -> bool:
-        """Whether there certainly is a lag."""
+        """Whether the lag is certain."""
         return not self.low <= 0.0 <= self.high
 
     def to_json(self) -> dict[str, float | int | bool]:
-        """All fields, and whether there certainly is a lag."""
+        """All fields, and whether the lag is certain."""
         return {**vars(self), "shown": self.shown}
 
 
 def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None = None) -> CameraLag | None:
-    """Learn maps and the effect `sensor_latency` together from all pushes; None where they cannot tell.
+    """Learn the maps and the effect `sensor_latency` together from all pushes; None if they cannot show it.
 
-    They tell where the object was seen while the finger pushed: its first motion, and any change of speed,
-    fixes the time between the two clocks. All roles count, since nothing is judged.
+    The lag shows where the object was seen while the finger pushed: its first motion, and any change of
+    speed, ties the two clocks together. Pushes of all roles are used, since nothing is judged.
 
     Args:
         dataset: measured pushes.
@@ -49,7 +49,7 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
     if not trials:
         return None
     try:
-        # The spread comes from refits, which take most of the time: eight will do.
+        # The spread comes from refits, which take most of the time; eight are enough.
         pushes = replace(dataset, trials=trials)
         found = identify(
             pushes, [SensorLatency()], hypotheses=8, seed=seed, progress=progress, friction_laws=False

@@ -1,7 +1,7 @@
-"""A belief held against measured pushes: how far it is off, against what, and where it fails.
+"""Compare a belief with measured pushes: how large its errors are, relative to what, and where it fails.
 
-`compare` is the door. One `Comparison` is about one model; two of them over the same pushes (before and
-after an effect was added) are shown side by side by whoever draws them.
+`compare` is the entry point. One `Comparison` is about one model; reports show two of them over the same
+pushes (before and after an effect was added) side by side.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from slipmap.models.progress import Progress, about, silent
 class Totals:
     """Means over the pushes of one role; NaN where no push has the number."""
 
-    pushes: int  # their number
+    pushes: int  # number of pushes
     model: Errors  # means of all errors
-    uniform: Errors  # the same of a uniform object
-    resting: Errors  # the same of an object that does not move
+    uniform: Errors  # the same for a uniform object
+    resting: Errors  # the same for an object that does not move
     median_add: float  # median final ADD of the model, m
 
     def to_json(self) -> dict[str, object]:
@@ -74,29 +74,28 @@ class Comparison:
     learnt_from: str  # name of the dataset that taught the belief
     pushes: tuple[Prediction, ...]  # one by one
     totals: dict[str, Totals]  # by role; a role without pushes is missing
-    floor: NoiseFloor | None  # error below which models cannot be told apart, or None where it is not known
+    floor: NoiseFloor | None  # error below which models cannot be told apart, or None where unknown
     motion: Residuals | None  # residual velocities, or None where nothing moves
     force: Residuals | None  # residual forces, or None where force was not measured
-    structure: tuple[Pattern, ...]  # what residuals depend on, the surest first
-    correlations: Correlations | None  # over time, or None where too few pushes show their course
+    structure: tuple[Pattern, ...]  # what residuals depend on, the most certain first
+    correlations: Correlations | None  # over time, or None where too few pushes were measured along the way
     seed: int  # of every random draw
 
     @property
     def significant(self) -> tuple[Pattern, ...]:
-        """Patterns that chance hardly explains."""
+        """Patterns that chance is unlikely to explain."""
         return tuple(pattern for pattern in self.structure if pattern.significant)
 
     @property
     def testable(self) -> bool:
-        """Whether there are pushes enough for any pattern to become significant."""
+        """Whether there are enough pushes for any pattern to be significant."""
         return any(smallest_p(pattern.pushes) * len(self.structure) < LEVEL for pattern in self.structure)
 
     @property
     def mostly_unseen(self) -> bool:
-        """Whether the belief learnt from fewer of these pushes than it did not see.
+        """Whether most of these pushes were not used to learn the belief.
 
-        Then errors of the maps, common to the pushes it did not see, can show as patterns (see
-        `residual_structure`).
+        Errors of the maps, common to the unseen pushes, can then show as patterns (see `residual_structure`).
         """
         if self.learnt_from != self.dataset:
             return True
@@ -128,7 +127,7 @@ def compare(
     progress: Progress | None = None,
     predictor: Predictor | None = None,
 ) -> Comparison:
-    """Hold a belief against every push of a dataset.
+    """Compare a belief with every push of a dataset.
 
     Args:
         dataset: pushes of the object that the belief is about.
@@ -139,7 +138,7 @@ def compare(
         predictor: what moves the belief's hypotheses; `predicted_motion` if None.
 
     Raises:
-        BeliefError: the dataset has another finger or another object.
+        BeliefError: the dataset has a different finger or object.
         DatasetError: there is neither a belief nor a push to learn one from.
 
     Example:
@@ -194,7 +193,7 @@ def compare(
 def compare_with_effects(
     dataset: PushDataset, effects: Sequence[Effect | str], *, seed: int = 0, progress: Progress | None = None
 ) -> tuple[Comparison, Comparison]:
-    """The models without and with some effects, learnt from the same pushes, each held against all pushes.
+    """Compare the models without and with some effects, learnt from the same pushes, with all pushes.
 
     Args:
         dataset: measured pushes.

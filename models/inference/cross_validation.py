@@ -1,8 +1,8 @@
-"""What a model says of pushes that it was not fitted to, from the pushes that taught alone.
+"""Cross-validation: the error of a model on pushes it was not fitted to, from the fitted pushes alone.
 
-A push that a model was fitted to says too little of the model's error: with few pushes and many maps the fit
-follows each of them. So the pushes are dealt into folds, and the model is refitted without each fold, from
-the best fit of all; what it says of the pushes left out shows by how much predicted ends will be off.
+The error on a fitted push understates the model's error: with few pushes and many map coordinates, the fit
+follows each of them. So the pushes are split into folds, and the model is refitted without each fold,
+starting from the best fit to all. Its errors on the left-out pushes show how far off predicted ends will be.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _FOLDS = 8
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A model fitted to pushes without each fold of them."""
+    """Fits of a model, each without one fold of the pushes."""
 
     likelihood: Likelihood  # of all B pushes
     fits: Fits  # one for each fold
-    fold: NDArray[np.int64]  # (B,) which one a push was left out of
+    fold: NDArray[np.int64]  # (B,) index of the fit that a push was left out of
 
     def ends(self) -> FloatArray:
-        """(B, 3) world poses in which the pushes end, each by the model fitted to the others."""
+        """(B, 3) world poses at the end of each push, predicted by the fit that left it out."""
         prior, observations = self.likelihood.prior, self.likelihood.observations
         maps = prior.maps(self.fits.z)
         ends = np.empty((len(observations), 3))
@@ -46,7 +46,7 @@ class LeftOut:
 
 
 def leave_out(likelihood: Likelihood, best: Fits) -> LeftOut:
-    """Refit without each fold; of a single push, by the prior alone.
+    """Refit without each fold; for a single push this leaves the prior alone.
 
     Args:
         likelihood: of B pushes.
@@ -69,17 +69,17 @@ def leave_out(likelihood: Likelihood, best: Fits) -> LeftOut:
 def end_errors(
     left_out: LeftOut, observations: Sequence[Observation], motions: Sequence[Motion], noise: SensorNoise
 ) -> list[float]:
-    """Errors of predicted ends beyond what sensors and hypotheses scatter, as shares of the way.
+    """Errors of predicted ends beyond sensor noise and the spread of hypotheses, as shares of the travel.
 
     Args:
-        left_out: what the model says of pushes that it was not fitted to.
+        left_out: fits without each fold.
         observations: the pushes.
-        motions: what the hypotheses of the belief say of them.
+        motions: the belief's predictions of them.
         noise: of the sensors.
 
     Returns:
-        Standard deviations of x and y, and of ρ θ, ρ being the cells' radius of gyration: root mean squares
-        over the pushes, widened so that a normal 90 % interval is as wide as Student's for so many pushes.
+        Standard deviations of x and y, and of ρ θ, where ρ is the cells' radius of gyration: root mean
+        squares over the pushes, widened so that a normal 90 % interval is as wide as Student's.
     """
     grid = left_out.likelihood.prior.slider.grid
     radius = radius_of_gyration(grid)

@@ -1,12 +1,12 @@
-"""What residuals of one push are like if the model is right: noise of each row, and errors that last.
+"""Error model of the residuals of one push: independent noise in each row, plus correlated model error.
 
-A pose is off by the sensor's noise, fresh in each row, and by what the best model of its kind does not know:
-its speed is wrong by a share α of the way travelled, by an error that lasts a stretch ℓ of way,
+A pose carries sensor noise, independent from row to row, and the error of the best model of its kind: its
+rate, per metre travelled, has standard deviation α and correlation length ℓ,
 
     cov(e(T), e(T')) = α² ∫₀^T ∫₀^T' exp(-|a - b| / ℓ) da db.
 
-The force is off by the sensor's noise and by a share β of the push's typical force that lasts a time. Rows of
-a push are thus correlated; different pushes are independent.
+A force carries sensor noise and an error of a share β of the push's typical force, correlated over a time.
+Rows of a push are thus correlated; different pushes are independent.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
 MEMORY = 0.03
-"""ℓ, m of way travelled by the cells."""
+"""ℓ, m travelled by the cells."""
 
 FORCE_MEMORY = 0.3
-"""s that an error of the force lasts."""
+"""Correlation time of the force error, s."""
 
 
 @dataclass(frozen=True)
@@ -35,24 +35,24 @@ class SensorNoise:
     position: float  # of x and y each
     angle: float  # of θ
     force: float  # of each component of the force
-    # whether the dataset says so; else they were estimated from the scatter of neighbouring rows
+    # whether the dataset declares it; otherwise it was estimated from the scatter of neighbouring rows
     declared: bool
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Sensor noise, and what the best model of its kind is off by."""
+    """Sensor noise, and the error of the best model of its kind."""
 
     noise: SensorNoise  # of the sensors
     motion: float  # α
     force: float  # β
 
     def pose_covariance(self, observation: Observation, travel: FloatArray, radius: float) -> FloatArray:
-        """(3, S, S) of x, y and ρ θ of one push, which are independent of each other.
+        """Covariances (3, S, S) of x, y and ρ θ of one push, which are mutually independent.
 
         Args:
             observation: the push.
-            travel: (S,) way travelled by the cells up to each pose, m, ascending.
+            travel: (S,) distance travelled by the cells up to each pose, m, ascending.
             radius: ρ, by which angles are multiplied, m.
         """
         n = self.noise
@@ -63,7 +63,7 @@ class ErrorModel:
         return lasting + np.array(rows)
 
     def force_covariance(self, observation: Observation) -> FloatArray:
-        """(T, T) of a component of the forces of one push that count."""
+        """Covariance (T, T) of one component of the forces of a push that count."""
         times = np.asarray(observation.push.force_times)[observation.sliding]
         if len(times) == 0:
             return np.zeros((0, 0))
@@ -82,20 +82,20 @@ def _accumulated(travel: FloatArray) -> FloatArray:
 
 
 def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
-    """(S,) way of the cells along the measured poses, m; from pose to pose, hence ascending."""
+    """(S,) distance travelled by the cells along the measured poses, m, summed from pose to pose."""
     poses = np.concatenate([observation.push.start_pose[None], observation.poses])
     return np.cumsum(add(poses[1:], poses[:-1], centers))
 
 
 def sensor_noise(dataset: PushDataset) -> SensorNoise:
-    """Noise of the rows of poses and forces: as declared, else from the scatter of neighbouring rows."""
+    """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows."""
     declared = dataset.noise
     position, angle, force = declared.position, declared.angle, declared.force
     known = position is not None and angle is not None
     if position is None or angle is None:
         dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) > DENSE]
         typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
-        # A sensor that repeats rows seems to have no noise at all.
+        # A sensor that repeats rows appears to have no noise.
         position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
         angle = max(float(typical[2]), 1e-3)
     if force is None:
@@ -106,8 +106,8 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
 
 
 def _white(values: FloatArray) -> FloatArray:
-    """Standard deviation of white noise in each column, from the median of second differences: of white noise
-    they have six times its variance, and the median leaves real acceleration out."""
+    """Standard deviation of white noise in each column, from the median of second differences: these have six
+    times the variance of white noise, and the median rejects real acceleration."""
     second = values[2:] - 2.0 * values[1:-1] + values[:-2]
     smooth = uniform_filter1d(second, 5, axis=0)
     return np.median(np.abs(second - smooth), axis=0) / 0.6745 / np.sqrt(6.0 * 0.8)

@@ -1,8 +1,8 @@
 """Levenberg-damped Gauss-Newton for many hypotheses at once.
 
 All hypotheses are rolled out in one parallel call and take their steps in lockstep, each with its own
-damping. They may weigh the pushes differently and lean towards different prior means: the same code serves
-several starts, refits with pushes left out, and randomised refits.
+damping. Their weights of the pushes and prior means may differ: the same code serves multiple starts,
+refits with pushes left out, and randomised refits.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress, part_of
 
 _EQUATIONS = 2**29
-"""Bytes that the normal equations of hypotheses fitted together may take, of which most are for the pushes'
-starts."""
+"""Most bytes for the normal equations of hypotheses fitted together; the pushes' starts take most of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Fits:
     hessian: FloatArray  # (K, d, d) of the weighted data cost; add the identity for the prior
 
     def best(self) -> Fits:
-        """The one of lowest cost."""
+        """The hypothesis of lowest cost."""
         k = [int(np.argmin(self.cost))]
         return Fits(self.z[k], self.offsets[k], self.cost[k], self.push_cost[k], self.hessian[k])
 
@@ -58,9 +57,9 @@ def fit(
         prior_mean: (K, d) centre of the prior, zeros if None.
         strength: (K,) see `MapPrior.maps`, ones if None.
         offsets: (K, B, 3) start offsets to start from, zeros if None.
-        iterations: at most.
-        tolerance: a hypothesis rests when a step lowers its cost by less than this share, or, where it was
-            rejected, promised to lower it by no more.
+        iterations: largest number of iterations.
+        tolerance: a hypothesis stops when an accepted step lowers its cost by less than this share, or a
+            rejected one promised no more.
         progress: called with (iteration, iterations).
     """
     K, B = len(start), len(likelihood.observations)
@@ -124,7 +123,7 @@ def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damp
     np.fill_diagonal(system, diagonal * (1.0 + damping))
     factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
     step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
-    # No coordinate changes by more than so many standard deviations of the prior.
+    # Limit the change of each coordinate, in standard deviations of the prior.
     longest = 1.5
     return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
 
@@ -137,7 +136,7 @@ def _shifted(
     shift: FloatArray,
     sigma: FloatArray,
 ) -> FloatArray:
-    """Start offsets that go with a step of the maps, damped as it is, within four standard deviations."""
+    """Start offsets after a step of the maps, damped as that is, kept within four standard deviations."""
     result = shift.copy()
     for b in range(shift.shape[1]):
         slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)

@@ -1,24 +1,23 @@
-"""Many answers instead of one: the hypotheses of a belief, refitted around the best fits.
+"""The hypotheses of a belief: randomised refits around the best fits.
 
-A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
-weighted at random (the Bayesian bootstrap of Rubin, 1981, but with gamma distributed weights that vary a
-little more than his exponentials: with those the variance of a mean of B pushes comes out as
-(B - 1) / (B + 1) of what it should be, two thirds with five pushes) and pulled towards maps drawn from the
-prior. Refits to the weights show what the pushes disagree about, be it noise or what no such model knows;
-refits towards random maps show what the pushes leave open. Neither needs the errors to be independent or the
-model to be right, which for recorded pushes they are not.
+A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted to randomly
+weighted pushes (the Bayesian bootstrap of Rubin, 1981, but with gamma distributed weights that vary a little
+more than his exponentials, with which the variance of a mean of B pushes would be (B - 1) / (B + 1) of what
+it should be, two thirds for five pushes) and pulled towards maps drawn from the prior. The random weights
+show what the pushes disagree about, be it noise or model error; the random maps show what the pushes leave
+open. Neither requires independent errors or a correct model, which recorded pushes do not have.
 
-The likelihood counts the model off by a share α of the way travelled. On an object that is as the model has
-it, α is half a percent; in another simulator, or on a worn table, it is ten times that, and a fit that trusts
-the pushes all the same takes the model's errors for the object's maps. How large α can be follows from the
-evidence, by Laplace's approximation around the best fit,
+The likelihood assumes a model error of a share α of the distance travelled. On an object that matches the
+model, α is half a percent; in another simulator, or on a worn table, it is ten times that, and a fit that
+still trusts the pushes mistakes the model's errors for the object's maps. α follows from the evidence, by
+Laplace's approximation around the best fit,
 
     log p(data | α) ≈ -cost(α) - ½ log det(1 + H) - Σ_b ½ log det(1 + σ H_b σ) - Σ log σ_row(α),
 
-with H the curvature of the data's cost over the maps, H_b over the start of a push, and p(α) ∝ 1/α per
-logarithm of α, so that a larger one has to be shown. The hypotheses take turns between all α up to the one of
-the largest evidence: one that believes every millimetre takes the model's faults for the object's, one that
-believes few learns little, and their mixture predicts better than either.
+where H is the curvature of the data's cost over the maps, H_b over the start of a push, and p(α) ∝ 1/α per
+logarithm of α, so that a larger α needs evidence. The hypotheses take turns among all α up to the one of
+largest evidence: a small α mistakes model errors for the object, a large one learns little, and their mixture
+predicts better than either.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ from slipmap.models.physics.rollout import Maps
 from slipmap.models.progress import StageProgress, part_of
 
 Ladder = list[tuple[Likelihood, Fits]]
-"""Fits under likelihoods that trust the data ever less."""
+"""Fits under likelihoods that trust the data less and less."""
 
 MODEL_ERRORS = (0.005, 0.015, 0.04, 0.1)
-"""α to choose from, ascending."""
+"""Values of α to choose from, ascending."""
 
 
 def fit_with_trust(
@@ -54,17 +53,17 @@ def fit_with_trust(
     *,
     only_exact: bool = False,
 ) -> Ladder:
-    """The best fit under every α up to the one of the largest evidence.
+    """The best fit for every α up to the one of largest evidence.
 
-    α is raised from the smallest as long as that helps, each fit beginning where the last one ended.
+    α is raised from the smallest as long as the evidence grows; each fit starts where the last one ended.
 
     Args:
         prior: coordinates of the maps.
         observations: pushes to learn from.
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
-        progress: called with (done, total); often it ends before all is done.
-        only_exact: stop after the smallest α where that does not explain the pushes exactly.
+        progress: called with (done, total); the search often stops before the last α.
+        only_exact: stop after the smallest α if that does not explain the pushes exactly.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
@@ -92,15 +91,15 @@ def explains_exactly(likelihood: Likelihood, found: Fits) -> bool:
 
 
 def trusting(alpha: float) -> LikelihoodSettings:
-    """What data are trusted with if the best model is off by a share α of the way travelled.
+    """Likelihood settings for a model error of a share α of the distance travelled.
 
-    Its force is held to be off by ten times that share, 40 % at most.
+    The force error is taken as ten times that share, at most 40 %.
     """
     return replace(LikelihoodSettings(), model_error=alpha, force_error=min(10.0 * alpha, 0.4))
 
 
 def log_evidence(likelihood: Likelihood, found: Fits) -> float:
-    """log p(data), up to a constant that does not depend on the likelihood's settings; see above."""
+    """log p(data) up to a constant independent of the likelihood's settings; see the top of the file."""
     one = np.ones(1)
     equations = likelihood.linearise(found.z, found.offsets, one, np.ones((1, len(likelihood.observations))))
     maps = np.linalg.slogdet(equations.hessian[0] + np.eye(found.z.shape[1]))[1]
@@ -112,8 +111,8 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
 
 
 _STRENGTHS = (0.7, 1.4)
-"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
-`MapPrior.spreads`."""
+"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis (see
+`MapPrior.spreads`)."""
 
 
 def trusted(ladder: Ladder) -> dict[str, Any]:
@@ -157,7 +156,7 @@ def refits(
         weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
     z = np.empty((hypotheses, prior.size))
     probability = np.empty(hypotheses)
-    # Where they are fewer than likelihoods, those of the larger evidence count.
+    # With fewer hypotheses than likelihoods, those of larger evidence are used.
     rungs = ladder[-hypotheses:]
     for rung, (likelihood, first) in enumerate(rungs):
         own = np.arange(rung, hypotheses, len(rungs))
@@ -181,8 +180,8 @@ def refits(
 def accuracy_weights(cost: FloatArray) -> FloatArray:
     """Probabilities of hypotheses from their costs (K,): a soft-max as in the paper's line 30.
 
-    The temperature is twice the median excess over the best, at least 2: hypotheses that the data hold
-    about equally likely keep about equal weights, and those that a refit left in a worse valley lose theirs.
+    The temperature is twice the median excess over the best, at least 2: hypotheses that are about equally
+    likely keep about equal weights, and those stuck in a worse local minimum lose theirs.
     """
     excess = cost - cost.min()
     weight = np.exp(-excess / (2.0 * max(1.0, float(np.median(excess)))))

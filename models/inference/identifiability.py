@@ -1,9 +1,9 @@
-"""Which quantities these pushes show, which they leave open, and why.
+"""Which quantities the pushes determine, which they leave open, and why.
 
-The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the
-data know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance
-cᵀ(H + I)⁻¹c. It counts as shown where the data leave less than a quarter of the prior's variance, that is
-half its width, or where it was measured beforehand.
+The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), measures the
+information in the data: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior
+variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the prior's variance (half its width)
+is left, or where it was measured beforehand.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 
 SHOWN_SHARE = 0.25
-"""Largest share of the prior's variance that a quantity keeps that counts as shown."""
+"""A quantity that keeps less than this share of its prior variance counts as shown."""
 
 
 @dataclass(frozen=True)
 class _Measure:
-    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one,
-    `given` where the dataset tells it, so that it is not left open whatever the pushes add."""
+    """A quantity as a function of maps: `log` if it is compared as a ratio, `share` if it lies in 0 to 1,
+    `given` if the dataset states it, so that it is never left open."""
 
     name: str
     unit: str
@@ -45,13 +45,13 @@ class _Measure:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What the pushes that taught were like, for the reasons."""
+    """Properties of the fitted pushes that the reasons refer to."""
 
-    turned: float  # largest angle between begin and end, rad
-    coasted: bool  # whether an object slid on its own from the begin
+    turned: float  # largest rotation between start and end, rad
+    coasted: bool  # whether the object of any push was already sliding at the start
     touched: bool  # whether there was a finger
     forces: bool  # whether there are forces that count
-    missed: float  # α by which the model is off
+    missed: float  # model error α
     contradicted: bool = False  # whether forces were left out because they contradict the contact
 
     @classmethod
@@ -68,10 +68,10 @@ class _Seen:
         )
 
     def unless_missed(self, reason: str) -> str:
-        """A reason why pushes leave something open, unless it is that the model explains them badly."""
+        """The reason why something is left open, or a large model error as the reason where there is one."""
         if self.missed < 0.04:
             return reason
-        return f"the model itself is off by {100 * self.missed:.0f} % of the way"
+        return f"the model error itself is {100 * self.missed:.0f} % of the distance moved"
 
 
 def quantities(
@@ -82,8 +82,8 @@ def quantities(
     Args:
         belief: the hypotheses.
         likelihood: of the pushes they were fitted to.
-        information: the plain best fit; None where the maps came from another method, then one is made.
-        contradicted: whether a force was measured that contradicts the contact, and was left out for that.
+        information: the best fit; None where the maps came from another method, so that one has to be made.
+        contradicted: whether a measured force was left out because it contradicts the contact.
     """
     prior = likelihood.prior
     if information is None:
@@ -114,10 +114,10 @@ def quantities(
 def effect_quantities(
     belief: Belief, effects: Sequence[Effect], likelihood: Likelihood, information: Fits
 ) -> list[Quantity]:
-    """The same for parameters of effects, the first that the belief has; cut at the allowed range.
+    """The same for the parameters of effects, which come first in the belief; clipped to the allowed range.
 
-    Intervals are as wide as the hypotheses or the curvature of the cost say, whichever says more: refits show
-    what pushes disagree about, which is less than the likelihood allows for where the model is good.
+    Intervals follow from the hypotheses or from the curvature of the cost, whichever is wider: where the
+    model is good, the pushes disagree by less than the likelihood allows for.
     """
     prior = likelihood.prior
     deviations = prior.effect_deviations(information.hessian[0])
@@ -131,7 +131,7 @@ def effect_quantities(
         scatter = float(belief.probability @ (values - belief.probability @ values) ** 2)
         more = np.sqrt(max(float(deviation) ** 2 - scatter, 0.0))
         middle, low, high = interval(values, belief.probability, more=more)
-        reason = "the pushes pin it down, if it is there"
+        reason = "the pushes determine it, if the effect is present"
         if not shown:
             reason = "left open by these pushes; the prior decides"
         low, high = max(low, float(parameter.low)), min(high, float(parameter.high))
@@ -141,7 +141,7 @@ def effect_quantities(
 
 
 def _gradient(measure: _Measure, prior: MapPrior, z: FloatArray) -> FloatArray:
-    """Central differences over the coordinates (maps are cheap; the rollouts' part is in the Hessian)."""
+    """Gradient of a quantity by central differences over the coordinates; maps alone are cheap."""
     difference = 1e-4
     shifts = difference * np.eye(prior.size)
     values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))
@@ -180,25 +180,27 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         return second - (sx**2 + sy**2) / m
 
     no_force = (
-        "no force was measured and the finger's motion is given: in slow motion, scaling all friction leaves "
-        "every pose unchanged"
+        "no force was measured: in slow motion along a given finger path, scaling all friction leaves every"
+        " pose unchanged"
     )
     if seen.contradicted:
         no_force = (
-            "the measured force contradicts the contact and was left out: put its frame right, or learn with"
+            "the measured force contradicts the contact and was left out: correct its frame, or learn with"
             " the effect force_frame"
         )
-    weak_force = "the forces that count (steady pushing) are too few"
+    weak_force = "too few forces were measured in steady pushing"
     slow = seen.unless_missed(
-        "what slid on its own did so too short or too much alike"
+        "the object slid freely for too short a time, or too similarly each time"
         if seen.coasted
-        else "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
+        else "motion is so slow that friction outweighs inertia; coasting or a fast start would show it"
     )
     hardly_turned = "the object hardly turns in these pushes"
-    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "it turns in these pushes too much alike"
-    no_axis = "no push turns the object about this direction"
+    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn the object too similarly"
+    no_axis = "no push turns the object in a way that shows this coordinate"
     no_contact = (
-        "the contact sticks in all pushes, or slides in all alike" if seen.touched else "no finger touches it"
+        "the contact sticks in all pushes, or slides the same way in all"
+        if seen.touched
+        else "no finger touches the object"
     )
     measures = [
         _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
@@ -206,13 +208,13 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                  weak_force if seen.forces else no_force),
         *(
             _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
-                     "the way the object turns when pushed", seen.unless_missed(no_axis))
+                     "how the object turns when pushed", seen.unless_missed(no_axis))
             for i, axis in enumerate("xy")
         ),
         _Measure("friction arm (mean distance from its centre)", "m", partial(friction_arms, slider.grid),
                  True, "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
-                 "weighed beforehand" if weighed else "acceleration against measured force", slow,
+                 "weighed beforehand" if weighed else "acceleration under a measured force", slow,
                  given=weighed),
         *(
             _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
@@ -220,7 +222,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
             for i, axis in enumerate("xy")
         ),
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
-                 "turning motion that speeds up or coasts", slow),
+                 "rotation that speeds up or coasts", slow),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
                  "the contact slides in some pushes", no_contact),
     ]  # fmt: skip
@@ -241,7 +243,7 @@ def _sum(of: Callable[[Maps], FloatArray], cells: np.ndarray) -> Callable[[Maps]
 
 
 def _regions(slider: Slider) -> list[tuple[str, np.ndarray]]:
-    """The footprint cut into three equal lengths along its longer side."""
+    """Cells of each third of the footprint along its longer side, by name."""
     centers = slider.grid.centers
     if len(centers) < 6:
         return []

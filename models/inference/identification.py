@@ -1,12 +1,12 @@
-"""From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits.
+"""From pushes to a belief: multiple starts, Gauss-Newton on whole trajectories, randomised refits.
 
-One estimator serves every door. `identify` learns the maps, with effects too where some are given; `fit` sets
-the two beside each other, with effects and without; a diagnosis judges its answer by the same two.
+Every entry point uses the same estimator. `identify` learns the maps, and effects too where some are given;
+`fit` learns both with and without effects; a diagnosis judges its answer by the same two.
 
-The strict likelihood of the diagnosis finds where effects act (`effect_search`). It believes every row of
-every force, and is sure of a total mass that a force model 2 % off moves by a third; what is in proportion to
-mass, as a tilt is, goes with it. So sizes of effects, too, come from the forgiving likelihood, whose prior is
-centred where the strict one led.
+The strict likelihood of the diagnosis finds where effects act (`effect_search`). It trusts every row of
+force, and is confident about a total mass that a 2 % error of the force model shifts by a third; whatever is
+proportional to mass, such as a tilt, shifts with it. So the sizes of effects also come from the forgiving
+likelihood, with its prior centred where the strict one led.
 """
 
 from __future__ import annotations
@@ -57,20 +57,19 @@ def identify(
 
     Args:
         dataset: measured pushes.
-        effects: to add to the model and to learn along; those of the library may be given by name.
-        method: `gauss-newton`, or `paper` for Algorithm 1 as printed, which knows no effects.
+        effects: to add to the model and learn with the maps; those of the library may be given by name.
+        method: `gauss-newton`, or `paper` for Algorithm 1 as printed, which does not support effects.
         hypotheses: K, at least 2.
         seed: of every random draw.
         progress: called with (stage, done, total).
-        prior_settings: how strongly maps are held together before any push; if None, each of `STRUCTURES`
-            takes part, as much as the pushes speak for it.
-        friction_laws: whether other laws of friction than the plain one take part, each as much as the
-            pushes speak for it (see `friction_laws`); takes longer. The method `paper`
-            knows the plain one alone.
+        prior_settings: the prior of the maps; if None, each of `STRUCTURES` is used, weighted by how well it
+            explains the pushes.
+        friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
+            (see `friction_laws`); takes longer. The method `paper` has only the plain one.
 
     Raises:
         DatasetError: there is no push to fit, or the model with the effects cannot be fitted.
-        ValueError: an unknown method, one that knows no effects, or too few hypotheses.
+        ValueError: an unknown method, effects with `paper`, or too few hypotheses.
         EffectError: an unknown effect, or a formula that cannot be used.
 
     Example:
@@ -83,7 +82,7 @@ def identify(
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if effects and method == "paper":
-        raise ValueError("the method paper knows no effects; use gauss-newton")
+        raise ValueError("the method paper does not support effects; use gauss-newton")
     check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or silent
@@ -116,11 +115,11 @@ def learn(
     friction_laws: bool = True,
     started: float | None = None,
 ) -> Identification:
-    """`identify` from pushes that are prepared, with the effects of a fit from where it led.
+    """Do the work of `identify` on prepared pushes, with the effects of an earlier fit as starting point.
 
     Args:
-        dataset: whose pushes they are.
-        observations: all its pushes; those with the role `fit` teach.
+        dataset: the dataset that the pushes belong to.
+        observations: all its pushes; those with the role `fit` are fitted.
         found: fit of the model with effects; None for the model without.
         hypotheses, seed, prior_settings, friction_laws: as in `identify`.
         report: called with (stage, done, total).
@@ -129,7 +128,7 @@ def learn(
     started = time.perf_counter() if started is None else started
     fitted = [observation for observation in observations if observation.role == "fit"]
     effects = () if found is None else found.effects
-    # A force that contradicts the contact teaches nothing unless an effect explains it.
+    # A force that contradicts the contact is useless unless an effect explains it.
     contradicted = not any(effect.only_force for effect in effects) and contradicted_by_contact(
         dataset, dataset.fit_trials
     )
@@ -188,13 +187,13 @@ def fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Identification:
-    """Learn maps together with some effects, and without them, from the same pushes: `slipmap fit`.
+    """Learn the maps with some effects, and without them, from the same pushes, as `slipmap fit` does.
 
     Args:
         dataset, effects, hypotheses, seed, progress: as in `identify`.
 
     Returns:
-        What was learnt with the effects; its `without_effects` holds what `identify` learns without.
+        What was learnt with the effects; its `without_effects` is what `identify` learns without them.
 
     Raises:
         DatasetError, ValueError, EffectError: as `identify`.
@@ -213,7 +212,7 @@ def fit(
 
 
 def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
-    """Effects, those of the library given by name or not.
+    """Effects from objects and from names in the library.
 
     Raises:
         EffectError: an unknown name.
@@ -224,7 +223,7 @@ def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
 
 
 def check_request(dataset: PushDataset, hypotheses: int) -> None:
-    """Refuse what no belief of several hypotheses can be learnt from.
+    """Refuse a request from which no belief can be learnt.
 
     Raises:
         DatasetError: there is no push to fit.
@@ -234,5 +233,5 @@ def check_request(dataset: PushDataset, hypotheses: int) -> None:
         raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
     if not dataset.fit_trials:
         raise DatasetError(
-            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
+            f"dataset {dataset.name} has no push with the role fit; set the role of at least one push to fit"
         )

@@ -1,8 +1,8 @@
-"""What `KnownMaps` say of the cells of a prior: middles, and how much of a deviation is left to them.
+"""Effect of `KnownMaps` on the cells of a prior: their centres, and how much each may still deviate.
 
-A known cell's logarithm has the variance spread²: half is a coordinate that all known cells share, half what
-is left of the deviations that free cells have (`prior`), scaled down. Masses in kg stand for themselves, and
-free cells share the rest of the total; masses of all cells share the total as their ratios say.
+The logarithm of a known cell has variance spread²: half from a coordinate that all known cells share, half
+from the deviations of free cells (`prior`), scaled down. Masses in kg are absolute where only some cells are
+known, and free cells share the rest of the total; otherwise all cells share the total by their ratios.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class KnownCells:
-    """Of n cells."""
+    """What is known about n cells."""
 
-    log_mass: FloatArray  # (n,) middle, of masses in kg where they stand for themselves
-    log_friction: FloatArray  # (n,) middle
-    mass_share: FloatArray  # (n,) of a deviation of log mass that a cell takes, 1 where it is free
-    friction_share: FloatArray  # (n,) the same of log friction
+    log_mass: FloatArray  # (n,) prior centre, of the mass in kg where it is absolute
+    log_friction: FloatArray  # (n,) prior centre
+    mass_share: FloatArray  # (n,) factor on deviations of log mass, 1 where the cell is free
+    friction_share: FloatArray  # (n,) the same for log friction
     sharing: NDArray[np.bool_]  # (n,) whether a cell's mass is a share of the total
-    sized: NDArray[np.bool_]  # (n,) whether the mean friction, which is not known, moves a cell's
-    free: NDArray[np.bool_]  # (n,) whether nothing is known of a cell
-    friction_levels: FloatArray  # (n, k) by which coordinates move the log friction of all cells alike
-    mass_levels: FloatArray  # (n, j) the same of masses that stand for themselves
-    known_mass: float  # of the cells whose mass is known in kg
-    mass_spread: float  # of it
+    sized: NDArray[np.bool_]  # (n,) whether a cell's friction scales with the unknown mean friction
+    free: NDArray[np.bool_]  # (n,) whether nothing is known about a cell
+    friction_levels: FloatArray  # (n, k) change of log friction with the coordinates that cells share
+    mass_levels: FloatArray  # (n, j) the same for absolute masses
+    known_mass: float  # total of the cells whose mass is known in kg
+    mass_spread: float  # its relative standard deviation
 
     @classmethod
     def of(cls, known: KnownMaps, cells: int, settings: PriorSettings) -> KnownCells:
-        """Of a prior with some settings."""
+        """From known maps, for a prior with given settings."""
         a = settings.mass_share
         log_mass, mass_spread, has_mass = _logarithms(known.mass, known.mass_spread, 0.0, cells)
         middle = np.log(settings.friction_mean)
@@ -73,12 +73,12 @@ class KnownCells:
 
     @property
     def levels(self) -> int:
-        """Number of coordinates that move cells alike, beside the total mass."""
+        """Number of coordinates that cells share, besides the total mass."""
         return self.friction_levels.shape[1] + self.mass_levels.shape[1]
 
     def total(self, mass: float | None, settings: PriorSettings) -> tuple[float, float]:
-        """Middle, kg, and standard deviation of the logarithm of what cells share, of an object that was
-        weighed or not."""
+        """Prior centre, kg, and standard deviation of the logarithm of the mass that cells share, given the
+        object's mass or None if it was not weighed."""
         if self.sharing.all():
             if mass is not None:
                 return mass, settings.known_mass
@@ -92,7 +92,7 @@ class KnownCells:
 def _logarithms(
     values: FloatArray | None, spread: FloatArray | float, free: float, cells: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Logarithms (n,), standard deviations of each half of the error (n,), and which are known."""
+    """Logarithms (n,), standard deviations (n,) of each half of the error, and which are known."""
     values = np.full(cells, np.nan) if values is None else values
     known = ~np.isnan(values)
     logarithms = np.where(known, np.log(np.where(known, values, 1.0)), free)

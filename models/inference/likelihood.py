@@ -1,15 +1,15 @@
-"""The forgiving likelihood: how badly a model misses measured pushes, and which way to go.
+"""The forgiving likelihood: the cost of measured pushes under a model, and its derivatives.
 
-Poses are compared at the cells' centroid as (dx, dy, ρ dθ), ρ being the cells' radius of gyration, so that
-its norm is close to ADD. A rollout of the right model misses a measured push by the sensors' noise and by
-what no such model knows, which grows with the way travelled:
+Poses are compared at the cells' centroid as (dx, dy, ρ dθ), where ρ is the cells' radius of gyration, so that
+the norm is close to ADD. Even the best model misses a measured push by sensor noise and by a model error that
+grows with the distance travelled:
 
     σ² = σ_noise² + σ_0² + (α travel)²
 
 Residuals along a push are correlated, so a push counts as a few independent poses, however densely it was
-sampled. Huber's cost keeps a push that the model cannot explain from deciding everything.
-The start pose of each push is known only as well as the tracker sees it; its offset is solved for along
-with the maps and eliminated from their equations (Schur complement).
+sampled. Huber's cost keeps a push that the model cannot explain from deciding everything. The start pose of
+each push is known only as well as the tracker sees it; its offset is solved for together with the maps and
+eliminated from their equations (Schur complement).
 """
 
 from __future__ import annotations
@@ -29,37 +29,37 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Rollouts
 
 _JACOBIANS = 2**28
-"""Bytes that the Jacobians of pushes rolled out together may take."""
+"""Most bytes for the Jacobians of pushes rolled out together."""
 
 
 @dataclass(frozen=True)
 class LikelihoodSettings:
-    """What the data are trusted with."""
+    """How far the data are trusted."""
 
-    model_error: float = 0.005  # α, error of the best model as a share of the way travelled
+    model_error: float = 0.005  # α, error of the best model as a share of the distance travelled
     base_error: float = 5e-4  # σ_0, m
-    independent: float = 4.0  # as how many independent poses a push counts
-    independent_forces: float = 1.0  # the same for its forces; they are there for the scale of friction
+    independent: float = 4.0  # number of independent poses that a push counts as
+    independent_forces: float = 1.0  # the same for its forces, which set the scale of friction
     force_error: float = 0.15  # error of the best model's force as a share of the push's typical force
-    huber: float = 2.0  # residuals beyond so many standard deviations count linearly
+    huber: float = 2.0  # residuals beyond this many standard deviations count linearly
     start_position: float = 1e-4  # standard deviation of the start where noise is not declared, m
     start_angle: float = 1e-3  # the same for the angle, rad
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Quadratic model of the cost around the present maps, start offsets eliminated."""
+    """Quadratic model of the cost around the current maps, with the start offsets eliminated."""
 
-    cost: FloatArray  # (K, B) robust cost of each push, its start offset's prior included
+    cost: FloatArray  # (K, B) robust cost of each push, including the prior of its start offset
     hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
     gradient: FloatArray  # (K, d)
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
-    coupling: FloatArray  # (B, K, d, 3) maps by start
+    coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
 
 
 class PushCosts(Protocol):
-    """What a fit has to know of B pushes."""
+    """Interface of B pushes to a fit."""
 
     observations: Sequence[Observation]
     start_sigma: FloatArray  # (B, 3) standard deviations of start offsets, m and rad
@@ -71,12 +71,12 @@ class PushCosts(Protocol):
 
 
 class PushLikelihood(ABC):
-    """Costs of K hypotheses against B observed pushes, whatever residuals are taken to be like.
+    """Costs of K hypotheses on B observed pushes, for any model of the residuals.
 
     Args:
         prior: coordinates of the maps.
         observations: B pushes.
-        pushes: what to roll out of them, with the times at which a residual is needed.
+        pushes: the rollouts to make of them, with the times at which a residual is needed.
         start_sigma: (B, 3) standard deviations of start offsets, m and rad.
     """
 
@@ -105,15 +105,15 @@ class PushLikelihood(ABC):
             z: coordinates of the prior.
             offsets: start offsets, m and rad.
             strength: (K,) see `MapPrior.maps`.
-            weights: (K, B) weight of each push in each hypothesis' equations; 0 leaves it out.
+            weights: (K, B) weight of each push in the equations of each hypothesis; 0 leaves it out.
         """
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
         maps = prior.maps(z, strength)
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        # Normal equations by the rollout's own columns, which are fewer than the coordinates; pushes that
-        # stay away from the table's rim have the first ones alone.
+        # Normal equations in the rollout's own columns, which are fewer than the coordinates; pushes that
+        # stay away from the table's rim have only the first columns.
         columns, start = prior.columns(maps, strength), prior.start_columns
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
@@ -145,8 +145,8 @@ class PushLikelihood(ABC):
     def _rolled_out(
         self, maps: Maps, offsets: FloatArray, columns: int
     ) -> Iterator[tuple[int, Rollouts, int]]:
-        """Each push b, rollouts that it is among, and its place there; so many pushes at a time that their
-        Jacobians by P columns, `_JACOBIANS` bytes, do not fill the memory."""
+        """Each push b, the rollouts that contain it, and its place in them; pushes are rolled out in batches
+        whose Jacobians over P columns take at most about `_JACOBIANS` bytes."""
         K, B = len(maps), len(self.observations)
         forces = [0 if p.force_times is None else len(p.force_times) for p in self._pushes]
         rows = 3 * np.array([len(o.poses) for o in self.observations]) + 2 * np.array(forces)
@@ -164,7 +164,7 @@ class PushLikelihood(ABC):
 
     def _pose_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, S, 3), m, and derivatives
-        (K, S, 3, P) by the rollout's own columns."""
+        (K, S, 3, P) with respect to the rollout's own columns."""
         measured, predicted = self.observations[b].poses, rollouts.poses_of(place)
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
@@ -175,13 +175,13 @@ class PushLikelihood(ABC):
         return np.concatenate([here - there, turn], axis=-1), slopes
 
     def _by_own(self, slopes: FloatArray, rollouts: Rollouts, place: int) -> FloatArray:
-        """Derivatives (…, P) of the push at a place, without columns by masses that are all zero."""
+        """Derivatives (…, P) of the push at a place, without the mass columns where these are all zero."""
         return slopes if rollouts.reached[:, place].any() else slopes[..., : self.prior.slider.columns]
 
     @abstractmethod
     def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Jacobians (K, R, P) and residuals (K, R) of push b, which is at a place among the rollouts, in
-        standard deviations and with the weights of a robust cost; and that cost (K,)."""
+        """Jacobians (K, R, P) and residuals (K, R) of push b, which is at a place in the rollouts, in
+        standard deviations and with the weights of a robust cost, and that cost (K,)."""
 
 
 class Likelihood(PushLikelihood):
@@ -191,7 +191,7 @@ class Likelihood(PushLikelihood):
         prior: coordinates of the maps.
         observations: B pushes.
         noise: of the sensors, where declared.
-        settings: what the data are trusted with.
+        settings: how far the data are trusted.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Likelihood(PushLikelihood):
     ) -> None:
         start = np.array([settings.start_position, settings.start_position, settings.start_angle])
         if noise.position is not None and noise.angle is not None:
-            # Where there are many rows the start is a mean of several, hence better known than a row.
+            # With many rows the start is a mean of several and known better than a single row.
             single = any(len(observation.poses) == 1 for observation in observations)
             start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
         pushes = [observation.push for observation in observations]
@@ -224,18 +224,18 @@ class Likelihood(PushLikelihood):
         return float(np.hypot(self.settings.force_error * observation.typical_force, noise.force or 0.0))
 
     def _counted(self, observation: Observation) -> tuple[float, float]:
-        """As how many independent poses and forces a push counts."""
+        """Numbers of independent poses and forces that a push counts as."""
         s = self.settings
         forces = min(s.independent_forces, float(observation.sliding.sum()))
         return min(s.independent, len(observation.poses)), forces
 
     @property
     def rows_counted(self) -> float:
-        """As how many independent poses and forces all pushes count."""
+        """Number of independent poses and forces that all pushes together count as."""
         return sum(sum(self._counted(observation)) for observation in self.observations)
 
     def log_widths(self) -> float:
-        """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
+        """Σ log σ of all residuals, counted as in the costs; its negative normalises densities."""
         total = 0.0
         for observation, sigma, force in zip(
             self.observations, self._sigmas, self._force_sigmas, strict=True

@@ -1,18 +1,18 @@
 """Several explanations of the same pushes, each with a share of the belief.
 
-What is not known of an object is more than numbers: how much its maps vary and how smoothly
-(`prior.STRUCTURES`), and what law friction follows (`friction_laws`). Each combination that is worth asking
-is fitted, and the hypotheses are shared out among them in proportion to
+More than numbers is unknown about an object: how much and how smoothly its maps vary (`prior.STRUCTURES`),
+and which law friction follows (`friction_laws`). Each combination worth trying is fitted, and the hypotheses
+are divided among them in proportion to
 
     p(structure) E^(1/T),    T = (rows that a push counts as) · α / 0.5 %
 
-with E the evidence of `hypotheses` under its best α, α that of the likeliest. It is tempered because it holds
-errors along a push for as independent as the likelihood does, and the likelihood's model for the right one;
-neither is so, the less the further the best model is off.
+where E is the evidence of `hypotheses` under its best α, and α in T is that of the likeliest combination. The
+evidence is tempered because it assumes that errors along a push are as independent as in the likelihood, and
+that the model is right; the larger the model error, the less both hold.
 
-Maps that vary much can follow the errors of a wrong law in a few pushes, and then predict badly. With fewer
-than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly by the plain law: with the
-smallest α, and with residuals no larger than that α allows.
+Maps that vary strongly can follow the errors of a wrong law in a few pushes, and then predict badly. With
+fewer than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly by the plain law: with
+the smallest α, and with residuals no larger than that α allows.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
 
 LEAST_SHARE = 0.05
-"""What has less than this is left out."""
+"""Explanations with a smaller share are dropped."""
 
 _ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
-"""From so many on, any structure is weighed by its evidence; and other laws are left alone where no law is
-near."""
+"""With this many pushes every structure is weighted by its evidence; with more than this many, other laws are
+not tried where the model error is largest."""
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A model that was fitted to the pushes."""
+    """A model fitted to the pushes."""
 
     law: str  # `plain`, or the names of its effects, see `friction_laws`
     structure: str  # of the maps, see `prior.STRUCTURES`
@@ -69,7 +69,7 @@ class Explanation:
 
     @property
     def likelihood(self) -> Likelihood:
-        """Of the pushes, with the best α."""
+        """Likelihood of the pushes, with the best α."""
         return self.ladder[-1][0]
 
     @property
@@ -89,7 +89,7 @@ class Explanation:
 
     @property
     def maps(self) -> Maps:
-        """(1,) of the best fit."""
+        """Maps of the best fit, one hypothesis."""
         return self.likelihood.prior.maps(self.best.z)
 
 
@@ -102,19 +102,19 @@ def explain(
     *,
     plain_only: bool,
 ) -> list[Explanation]:
-    """Fit the plain law to objects of each structure, the other laws to those of the likeliest.
+    """Fit the plain law with every structure, the other laws with the likeliest structure.
 
     Args:
         dataset: the pushes, the object and its height.
         observations: pushes to learn from.
-        settings: the only prior of the maps; if None, all structures are asked that the object may have.
+        settings: the only prior of the maps; if None, all structures that the object may have are tried.
         progress: called with (done, total).
-        found: fit of the model with effects, which all laws then have too, around the values that it found:
-            nothing pulls them to their nulls any more where the forgiving likelihood sees little of them.
-        plain_only: whether to leave the other laws alone.
+        found: fit of the model with effects. All laws then include these effects, with priors centred on the
+            fitted values, so that nothing pulls them to their nulls where the likelihood says little.
+        plain_only: whether to skip the other laws.
 
     Returns:
-        Explanations that have a share, the largest first; shares sum to one.
+        Explanations with their shares, the largest first; shares sum to one.
 
     Raises:
         RolloutError: not even the plain law could be fitted.
@@ -126,8 +126,8 @@ def explain(
     asked, total = 0, len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
 
     def ask(law: Sequence[Effect], structure: str) -> None:
-        """Fit from where the best so far of the law led, else from that of the plain one, else from uniform
-        objects."""
+        """Fit a law and structure from the best fit so far of the law, else of the plain law, else from
+        uniform objects."""
         nonlocal asked
         means, deviations = effect_prior(law, dataset.height)
         if found is not None:
@@ -170,7 +170,7 @@ def explain(
         rest.remove("smooth")
     usual = every[0].structure
     if every[0].model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
-        # The other laws could not be told from the plain one, and would take long.
+        # The other laws could not be distinguished from the plain one, and would take long.
         others = []
     for law in others:
         ask(law, usual)
@@ -184,7 +184,7 @@ def explain(
 
 
 def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
-    """Those that so many pushes can speak for."""
+    """Explanations that this number of pushes can support."""
     if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
         return list(every)
     return [one for one in every if one.structure not in BOLD or (one.law == PLAIN and one.exact)]
@@ -228,14 +228,14 @@ def mixed_belief(
     Args:
         dataset: whose pushes were fitted.
         every: of `explain`.
-        given: effects that all laws have.
+        given: effects included in all laws.
         hypotheses: K.
         seed: of the draws.
         report: called with (stage, done, total).
 
     Returns:
-        Hypotheses that carry the parameters of the given effects, then those of all that any law has, at
-        their nulls where their own has not.
+        Hypotheses that carry the parameters of the given effects, then those of every law's effects, which
+        are at their nulls where a hypothesis' own law lacks them.
     """
     every = every[:hypotheses]
     shares = np.array([one.share for one in every]) / sum(one.share for one in every)
@@ -254,7 +254,7 @@ def mixed_belief(
         try:
             maps, weights = refits(one.ladder, count, rng, progress, keep_best=not parts)
         except (RolloutError, np.linalg.LinAlgError):
-            # Refits lead to wilder maps than fits do; the others can do without this one.
+            # Refits lead to wilder maps than fits do; the belief can do without this explanation.
             continue
         parts.append((maps, effects))
         probability.append(share * weights)
@@ -295,7 +295,7 @@ def _by(names: Sequence[str], shares: Sequence[float]) -> dict[str, float]:
 
 
 def _with_parameters(maps: Maps, effects: Sequence[Effect], used: Sequence[Effect]) -> Maps:
-    """The maps with parameters of all used effects, at their nulls where they have none of their own."""
+    """The maps with parameters of all used effects, at their nulls for effects that the maps lack."""
     own = np.split(maps.effects, np.cumsum([len(effect.parameters) for effect in effects]), axis=1)
     by_effect = dict(zip(effects, own, strict=False))
     columns = [by_effect.get(effect, np.repeat(effect.nulls[None], len(maps), axis=0)) for effect in used]
@@ -305,7 +305,7 @@ def _with_parameters(maps: Maps, effects: Sequence[Effect], used: Sequence[Effec
 
 
 def _counts(shares: FloatArray, hypotheses: int) -> list[int]:
-    """How many hypotheses each share gets, at least one; there are no more shares than hypotheses."""
+    """Number of hypotheses for each share, at least one; there are no more shares than hypotheses."""
     counts = [max(1, int(share * hypotheses)) for share in shares]
     while sum(counts) > hypotheses:
         counts[int(np.argmax(counts))] -= 1

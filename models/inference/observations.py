@@ -1,4 +1,4 @@
-"""From a trial to what inference compares of it: a push to simulate, poses and forces to match."""
+"""From a trial to an observation: a push to simulate, and the poses and forces to match."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing
 
 SAMPLES = 30
-"""Poses compared in a push. Residuals along a push are so correlated that more add nothing."""
+"""Poses compared per push. Residuals along a push are so correlated that more poses add nothing."""
 
 AVERAGED, DENSE = 5, 100
-"""Rows of the tracker that an observed pose is the mean of, in trials of more than so many rows."""
+"""Tracker rows averaged into an observed pose, in trials with more than this many rows."""
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
-"""Contact for recorded fingers: a tenth of a millimetre of give, as fingers have, lets the rest of the jitter
-pass without rattling the force, and what strikes the object does not throw it."""
+"""Contact for recorded fingers: 0.1 mm of compliance, as in real fingers, keeps the remaining jitter from
+rattling the force, and impacts from throwing the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class Observation:
     role: str  # `fit` or `heldout`
     push: Push  # what drives the object; its pose and force times are those of the rows below
     poses: FloatArray  # (S, 3) measured world poses, m and rad
-    pose_rows: FloatArray  # (S,) rows of the tracker that each is the mean of
-    start_rows: int  # the same of the pose that the push starts from
+    pose_rows: FloatArray  # (S,) number of tracker rows averaged into each pose
+    start_rows: int  # the same for the start pose
     forces: FloatArray  # (T, 2) measured force of the finger on the object, world, N; T may be 0
-    force_rows: FloatArray  # (T,) rows of the sensor that each is the mean of
-    # (T,) whether a force counts: the finger moves and presses, and neither its first touch nor its stop is
-    # near, where force depends on contact stiffness rather than on friction
+    force_rows: FloatArray  # (T,) number of sensor rows averaged into each force
+    # (T,) whether a force counts: the finger moves and presses, away from its first touch and its stop, where
+    # force depends on contact stiffness rather than on friction
     sliding: np.ndarray
 
     @property
@@ -57,7 +57,7 @@ class Observation:
 
     @property
     def typical_force(self) -> float:
-        """Median size of the forces that count, of which there are some, N."""
+        """Median magnitude of the forces that count (at least one), N."""
         return float(np.median(np.hypot(*self.forces[self.sliding].T)))
 
 
@@ -67,7 +67,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     Args:
         trial: as recorded.
         order: its place in the experiment, from 0.
-        coarseness: how many times longer than usual steps may be.
+        coarseness: factor by which steps may be longer than usual.
     """
     times = pose_times(trial)
     duration = float(times[-1])
@@ -113,12 +113,12 @@ def observe_all(
 
 
 def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
-    """(N, c) values (M, c) of ascending times (M,) at wanted times (N,), linear in between."""
+    """Values (M, c) at ascending times (M,), linearly interpolated at the wanted times (N,): (N, c)."""
     return np.column_stack([np.interp(wanted, times, column) for column in values.T])
 
 
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:
-    """Speed that the finger hardly exceeds (98th percentile), over 50 ms so that jitter does not count."""
+    """98th percentile of the finger's speed, taken over 50 ms so that jitter does not count."""
     grid = np.arange(time[0], time[-1], 0.01)
     if len(grid) < 7:
         return float(np.hypot(*(track[-1] - track[0])) / max(time[-1] - time[0], 1e-9))
@@ -127,8 +127,8 @@ def _fast_speed(time: FloatArray, track: FloatArray) -> float:
 
 
 def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
-    """Mean of the rows before the object moves, so that noise of the first row does not shift the push; and
-    their number."""
+    """Mean of the rows before the object moves, so that noise in the first row does not shift the push, and
+    the number of these rows."""
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
     calm = uniform_filter1d(poses, 5, axis=0, mode="nearest")
     moved = np.hypot(*(calm[:, :2] - calm[0, :2]).T) + 0.03 * np.abs(calm[:, 2] - calm[0, 2])
@@ -138,7 +138,7 @@ def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """Poses at some rows, each the mean of several around it where rows are dense, and of how many."""
+    """Poses at given rows, averaged over neighbours where rows are dense, and the numbers averaged."""
     half = AVERAGED // 2 if len(poses) > DENSE else 0
     inner = (rows >= half) & (rows < len(poses) - half)
     reach = np.where(inner, half, 0)
@@ -147,8 +147,8 @@ def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, Flo
 
 
 def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Middles of `SAMPLES` equal stretches of the trial that hold any rows of force, their means, and of how
-    many rows."""
+    """Midpoints of those of `SAMPLES` equal intervals of the trial that contain force rows, the mean forces
+    there, and the numbers of rows."""
     samples = wrench_samples(trial)
     if samples is None or len(samples[0]) == 0:
         return np.zeros(0), np.zeros((0, 2)), np.zeros(0)
@@ -161,7 +161,7 @@ def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
-    """Which rows of force are of steady pushing: finger fast, force present, and so in the rows around."""
+    """Which force rows belong to steady pushing: finger fast and force present, in this row and around it."""
     if len(forces) == 0 or np.isnan(push.tip).any():
         return np.zeros(len(forces), dtype=bool)
     speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
@@ -169,6 +169,6 @@ def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
     at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
     size = np.hypot(*forces.T)
     steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))
-    # A sensor that reports means over 20 ms moves what happens within a few into the next row.
+    # A sensor that averages over 20 ms smears short events into the next row.
     apart = 2
     return binary_erosion(steady, np.ones(2 * apart + 1))

@@ -49,12 +49,12 @@ from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.models.progress import Progress, StageProgress, silent
 
 _STEPS = 20
-"""Time steps a trial is cut into. In shorter ones the object moves less than trackers err."""
+"""Time steps that a trial is cut into. In shorter ones the object would move less than the tracker errs."""
 
 
 @dataclass(frozen=True, eq=False)
 class EqualSteps:
-    """A trial at T + 1 times, dt apart: what Algorithm 1 learns from.
+    """A trial sampled at T + 1 times, dt apart, for Algorithm 1.
 
     Raises:
         ValueError: shapes that do not fit, fewer than three poses, poses not finite, dt not positive.
@@ -111,7 +111,7 @@ _RATE = 0.03
 _TEMPERATURE = 0.01
 """Soft-max temperature as a share of the loss of an object that never moves."""
 
-_NOMINAL_MASS = 1.0  # kg, of an object that nobody weighed
+_NOMINAL_MASS = 1.0  # kg, of an object that was not weighed
 
 
 def bound_schedule(hypotheses: int, mass_max: float, mu_max: float) -> tuple[FloatArray, FloatArray]:
@@ -137,14 +137,14 @@ def soft_max(loss: FloatArray, temperature: float) -> FloatArray:
     """
     if not (np.isfinite(temperature) and temperature > 0):
         raise ValueError(f"Algorithm 1: the temperature must be positive, got {temperature}")
-    # Losses count from the least one, or all exponentials could be 0.
+    # Subtract the smallest loss, or all exponentials could be 0.
     weight = np.exp(-(loss - loss.min()) / temperature)
     return weight / weight.sum()
 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Steps are made one at a time, so short that threads cost more than they save."""
+    """Use one thread: single steps are so short that threads cost more than they save."""
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -176,10 +176,10 @@ def algorithm_1(
         mass_max: largest mass of a cell, kg.
         mu_max: largest friction coefficient of a cell.
         mu_finger: friction coefficient of the finger, which the algorithm does not identify.
-        learning_rate: α_rate for maps in units of their bounds; per unit of |x - x^g|².
+        learning_rate: α_rate for maps in units of their bounds, per unit of |x - x^g|².
         temperature: τ, in units of the loss.
         epochs: passes over all pushes.
-        progress: called after each push with the number of passes through a push and that of all.
+        progress: called after each push with the numbers of pushes done and of all, over all epochs.
 
     Returns:
         Maps of K models, their losses (K,) and probabilities (K,).
@@ -240,14 +240,14 @@ def identify_by_algorithm_1(
     """Algorithm 1 on the fit pushes of a dataset, with parameters that suit small and heavy objects alike.
 
     Each push is cut into equal steps, see `observe_steps`. A cell's mass is at most twice
-    the object's mass (`_NOMINAL_MASS` where nobody weighed it) over n, so that the first half of the models
+    the object's mass (`_NOMINAL_MASS` if it was not weighed) over n, so that the first half of the models
     start from the known mass; nothing holds them to it. Learning rate and temperature follow from the
     pushes, see `_RATE` and `_TEMPERATURE`. Forces are not used.
 
     Args:
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
         hypotheses: K.
-        seed: recorded in the belief; the algorithm draws nothing at random.
+        seed: recorded in the belief; the algorithm makes no random draws.
         progress: called with (stage, done, total).
 
     Raises:
@@ -311,7 +311,7 @@ def _loss_of_rest(pushes: Sequence[EqualSteps], centers: FloatArray) -> float:
 def _mean_square_weight(
     slider: Slider, pushes: Sequence[EqualSteps], *, mass_max: float, mu_max: float, mu_finger: float
 ) -> float:
-    """Mean of |W|² (Frobenius) over all steps of a uniform object, W by maps in units of their bounds."""
+    """Mean |W|² (Frobenius) over all steps of a uniform object, with maps in units of their bounds."""
     n = len(slider.grid)
     start = Maps(np.full((1, n), 0.5 * mass_max), np.full((1, n), 0.5 * mu_max), np.array([mu_finger]))
     bound = np.repeat([mass_max, mu_max], n)
@@ -325,7 +325,7 @@ def _mean_square_weight(
 
 
 def _cells_by_pose(q: FloatArray, centers: FloatArray) -> FloatArray:
-    """∂x/∂q: derivative (K, 3n, 3) of the 3n pose by the planar poses q (K, 3)."""
+    """∂x/∂q: derivative (K, 3n, 3) of the 3n pose vector with respect to the planar poses q (K, 3)."""
     K, n = len(q), len(centers)
     arm = cell_poses(q, centers).reshape(K, n, 3)[..., :2] - q[:, None, :2]
     result = np.tile(np.eye(3), (K, n, 1, 1))

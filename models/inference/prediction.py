@@ -1,8 +1,8 @@
 """Predict recorded pushes from their first pose, and judge the predictions.
 
-Whatever is said of a model's errors comes from here: the middle of a belief's hypotheses against the measured
-poses, beside an object that does not move and a uniform one. One belief and one push give one number,
-whichever command says it.
+All reported model errors come from here: the central pose of a belief's hypotheses against the measured
+poses, with an object that does not move and a uniform object as baselines. One belief and one push give the
+same number in every command.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from slipmap.models.progress import Progress, silent
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What K hypotheses say of one push from its first pose on."""
+    """The motion of one push as K hypotheses predict it from its first pose."""
 
     poses: FloatArray  # (K, S, 3) world poses at the observation's pose times, m and rad
     forces: FloatArray  # (K, T, 2) forces of the finger on the object at its force times, world, N
@@ -39,7 +39,7 @@ class Motion:
 
     @cached_property
     def middle_poses(self) -> FloatArray:
-        """(S, 3) in the middle of the hypotheses: the prediction that is judged."""
+        """(S, 3) central poses of the hypotheses, see `summaries.middle_poses`: the judged prediction."""
         return middle_poses(self.poses, self.probability, self.grid)
 
     @property
@@ -49,51 +49,51 @@ class Motion:
 
     @property
     def likeliest_poses(self) -> FloatArray:
-        """(S, 3) of the most probable hypothesis, whose contact with the finger is one model's."""
+        """(S, 3) poses of the most probable hypothesis, in consistent contact with the finger."""
         return self.poses[int(np.argmax(self.probability))]
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One push as measured, as a belief predicts it from its first pose, and how far apart they are."""
+    """One push as measured and as a belief predicts it from its first pose, with the errors."""
 
     observation: Observation  # what was measured
-    motion: Motion  # what the hypotheses say
+    motion: Motion  # what the hypotheses predict
     errors: Errors  # of `predicted`
     uniform: Errors  # errors of a uniform object with the belief's mass, friction and finger
     resting: Errors  # errors of an object that does not move
     spread: float  # probability-weighted mean ADD of the hypotheses from `predicted` at the end, m
-    # how many metres the predicted end moves (ADD) for a metre of sideways shift of the start; large where
-    # the push starts near to balance and half a millimetre decides
+    # shift of the predicted end (ADD) per metre of sideways shift of the start; large where the push starts
+    # near balance and half a millimetre decides
     start_sensitivity: float
-    # (2, 3) lower and upper end of the 90 % interval of each of x, y, θ of the end as the tracker would
-    # measure it: the hypotheses' spread, what the model is off by, and the tracker's noise
+    # (2, 3) lower and upper ends of the 90 % intervals of x, y, θ at the end as the tracker would measure it:
+    # spread of the hypotheses, model error and tracker noise
     end_interval: FloatArray
-    end_region: EndRegion  # x, y and θ of the end together, of any level, of the same three
+    end_region: EndRegion  # joint region of x, y and θ at the end at any level, from the same three sources
 
     @property
     def surprising(self) -> bool:
-        """Whether the measured end lies outside its 95 % region, as one push in twenty of a right model does.
+        """Whether the measured end lies outside its 95 % region, as one in twenty does under a right model.
 
-        Each of three 90 % intervals is missed by one push in ten; `end_region` takes x, y and θ together, so
-        that looking at three numbers makes no more surprises.
+        Each of three 90 % intervals is missed by one push in ten. `end_region` tests x, y and θ together, so
+        that looking at three numbers does not cause more surprises.
         """
         return not self.end_region.holds(self._seen_end)
 
     @property
     def rarity(self) -> float:
-        """How often a push of a right model ends at least as far out as the measured end; below 0.05 it is
-        `surprising`."""
+        """Share of pushes of a right model that end at least as far out as the measured end; below 0.05 this
+        push is `surprising`."""
         return self.end_region.rarity(self._seen_end)
 
     @property
     def excess(self) -> float:
-        """How many times as far off the measured end is as its 95 % region reaches in that direction."""
+        """Error of the measured end over the extent of its 95 % region in that direction."""
         return self.end_region.excess(self._seen_end)
 
     @property
     def allowed_add(self) -> float:
-        """Error (ADD) up to which this end, in the direction where it was measured, would not surprise, m."""
+        """Largest error (ADD), in the direction of the measured end, that would not be surprising, m."""
         return self.final_add / max(self.excess, 1e-9)
 
     @property
@@ -117,7 +117,7 @@ class Prediction:
 
     @property
     def predicted(self) -> FloatArray:
-        """(S, 3) in the middle of the hypotheses, see `summaries.middle_poses`."""
+        """(S, 3) central poses of the hypotheses, see `summaries.middle_poses`."""
         return self.motion.middle_poses
 
     @property
@@ -132,12 +132,12 @@ class Prediction:
 
     @property
     def uniform_add(self) -> float:
-        """The same of the uniform object."""
+        """The same for the uniform object."""
         return self.uniform.final_add
 
     @property
     def no_motion_add(self) -> float:
-        """The same of an object that does not move."""
+        """The same for an object that does not move."""
         return self.resting.final_add
 
     @property
@@ -147,7 +147,7 @@ class Prediction:
         return bool(np.allclose(before, start, rtol=0.0, atol=1e-12))
 
     def to_json(self) -> dict[str, object]:
-        """All numbers of the end; lengths in m, poses x, y (m), θ (rad) in the world."""
+        """All numbers at the end of the push; lengths in m, poses x, y (m), θ (rad) in the world frame."""
         names = (
             "trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity",
             "surprising", "excess",
@@ -171,11 +171,11 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
     Args:
         belief: what was learnt, from this or another dataset of the same object.
-        dataset: pushes of the object that the belief is about; its table counts.
+        dataset: pushes of the object that the belief is about; its table is the one used.
         progress: called with (stage, done, total).
 
     Raises:
-        BeliefError: the dataset has another finger or another object.
+        BeliefError: the dataset has a different finger or object.
 
     Example:
         >>> import slipmap
@@ -191,16 +191,16 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
-    """Raise BeliefError where a dataset's outline or finger is not that of the belief."""
+    """Raise BeliefError if a dataset's outline or finger differs from the belief's."""
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
-            f"the belief is about a finger of radius {belief.finger_radius} m, dataset {dataset.name} has "
-            f"{dataset.finger_radius} m: identify this dataset instead"
+            f"the belief is about a finger of radius {belief.finger_radius} m, but dataset {dataset.name}"
+            f" has {dataset.finger_radius} m; identify this dataset instead"
         )
     ours, theirs = belief.grid.polygon, dataset.grid.polygon
     if ours.symmetric_difference(theirs).area > 0.02 * ours.area:
         raise BeliefError(
-            f"the belief is about another object than dataset {dataset.name}: their outlines differ; "
+            f"the belief is about a different object from dataset {dataset.name}: their outlines differ; "
             "identify this dataset instead"
         )
 
@@ -212,7 +212,7 @@ def predict_observations(
     progress: Progress | None = None,
     predictor: Predictor | None = None,
 ) -> tuple[Prediction, ...]:
-    """`predict` for observations that are prepared already.
+    """Do the work of `predict` on prepared observations.
 
     Args:
         belief: what was learnt.
@@ -231,7 +231,7 @@ def predict_observations(
     report("predicting", 2, 3)
     best = int(np.argmax(belief.probability))
     likeliest = belief.maps[best : best + 1]
-    shift = 5e-4  # m by which the start is shifted, to judge how near to balance it is
+    shift = 5e-4  # m, sideways shift of the start that shows how near balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
@@ -259,8 +259,8 @@ def predict_observations(
 
 
 def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: SensorNoise) -> FloatArray:
-    """(3,) standard deviations of x, y, θ of a measured end beyond what hypotheses differ by: what the model
-    is off by on this way, and the tracker's noise.
+    """(3,) standard deviations of x, y, θ of a measured end beyond the spread of the hypotheses: model error
+    over this travel, and tracker noise.
 
     Args:
         belief: what was learnt.
@@ -273,8 +273,8 @@ def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: S
 
 
 def uniform_maps(belief: Belief) -> Maps:
-    """The baseline: the belief's total mass and finger friction, spread evenly, with one friction; effects as
-    the belief has them on average."""
+    """Maps of the uniform baseline: the belief's mean mass spread evenly, one friction coefficient, and
+    its mean finger friction and effects."""
     n = len(belief.grid)
     p = belief.probability
     mass = p @ belief.maps.mass.sum(axis=1)
@@ -285,7 +285,7 @@ def uniform_maps(belief: Belief) -> Maps:
 
 
 def _shifted(pushes: Sequence[Push], shift: float) -> list[Push]:
-    """The same pushes with the finger moved sideways of its path, which is as good as moving the object."""
+    """The same pushes with the finger shifted sideways, which is equivalent to shifting the object."""
     result = []
     for push in pushes:
         path = push.tip[-1] - push.tip[0]

@@ -1,6 +1,6 @@
-"""What is believed of the maps before any push: smooth, positive, of unknown scale.
+"""The prior of the maps before any push: smooth, positive, of unknown scale.
 
-Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) in each:
+Maps are functions of whitened coordinates z, each with the prior z ~ N(0, 1):
 
     l = σ_load B z_load,    s = σ_split B z_split
     m_i   = m_total · exp(a l_i + s_i) / Σ_j exp(a l_j + s_j)
@@ -8,14 +8,14 @@ Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) i
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
     effect parameters:  p = p_0 + scale z_p, within their bounds
 
-Where masses or frictions are known beforehand (`KnownMaps`), they are the middle, and deviations of known
-cells shrink to what their spread leaves (`known_cells`).
+Where masses or frictions are known beforehand (`KnownMaps`), the prior is centred on them, and deviations of
+known cells shrink to their stated spread (`known_cells`).
 
 B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring
-cells are alike, but need not be. The product of mass and friction, which slow pushes show, varies by l alone;
-how it is split between the two, which they do not show, varies by s. (Independent spreads of mass and
+cells tend to be similar, but need not be. The product of mass and friction, which slow pushes show, depends
+on l alone; its split between the two, which they do not show, depends on s. (Independent spreads of mass and
 friction that leave the split as open would allow wild products.) Logarithms keep masses and frictions
-positive and make the units immaterial: an object of 165 kg is as likely as one of 165 g.
+positive and independent of units: an object of 165 kg is as likely as one of 165 g.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 class PriorSettings:
     """Strength of the prior, in standard deviations of natural logarithms."""
 
-    load_map: float = 0.35  # σ_load, how much a cell's product of mass and friction differs from the mean
-    mass_share: float = 0.8  # a, how much of that comes from the mass where nothing else is known
-    split: float = 0.30  # σ_split, how much mass and friction differ from that in opposite senses
+    load_map: float = 0.35  # σ_load, deviation of a cell's product of mass and friction from the mean
+    mass_share: float = 0.8  # a, share of that deviation that mass has where nothing else is known
+    split: float = 0.30  # σ_split, further deviation of mass and friction in opposite directions
     friction_scale: float = 0.7  # σ_scale of the mean friction
     friction_mean: float = 0.3  # mu_0
     finger_friction: float = 0.8  # σ_f
     finger_friction_mean: float = 0.35  # mu_f0
     known_mass: float = 0.02  # σ_total where the object was weighed
-    unknown_mass: float = 2.0  # σ_total where it was not; the median is then 1 kg
+    unknown_mass: float = 2.0  # σ_total where it was not weighed; the median is then 1 kg
     length: float = 0.20  # reach of the covariance in diameters of the footprint
     white: float = 0.30  # share of the variance that neighbours do not share
-    # whether borders are sharp: the covariance falls exponentially, as the chance that random cuts leave two
-    # cells in one part (Lakshminarayanan et al., 2016), not by a Gaussian
+    # whether borders are sharp: the covariance then decays exponentially, like the probability that random
+    # cuts leave two cells in one part (Lakshminarayanan et al., 2016), instead of as a Gaussian
     sharp: bool = False
     largest_friction: float = 3.0  # upper bound of mu and mu_f
-    modes: int = 40  # most coordinates a map may have; finer variation cannot be seen from pushes
+    modes: int = 40  # most coordinates of a map; pushes cannot show finer variation
 
 
 STRUCTURES = {
@@ -66,40 +66,39 @@ STRUCTURES = {
     "few points": PriorSettings(load_map=4.0, split=0.5, white=0.95, modes=200),
     "uniform": PriorSettings(load_map=0.1, split=0.1, modes=20),
 }
-"""What objects are like: maps that vary little, from cell to cell or smoothly, that vary much, that fall into
-parts, whose load rests on few cells, or that hardly vary. Of the first two, the smooth one is for pushes that
-a law explains exactly; else the law's faults are better taken up by single cells, where they bend no whole
-region."""
+"""Kinds of maps: little variation, from cell to cell or smooth; strong variation; distinct parts; load on a
+few cells; or hardly any variation. Of the first two, the smooth kind is for pushes that a law explains
+exactly; otherwise single cells absorb the law's errors better, without bending whole regions."""
 
 PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
-"""How likely each is before any push, up to a factor."""
+"""Prior probability of each structure, up to a common factor."""
 
 _FINGER_STARTS = (0.12, 0.35, 1.0)
 
 BOLD = ("varied", "parts", "few points")
-"""Those that can follow the errors of a wrong law."""
+"""Structures that can follow the errors of a wrong law."""
 
 
 def structures_of(dataset: PushDataset) -> Mapping[str, PriorSettings]:
-    """What an object may be like: any of `STRUCTURES`, unless every cell is known."""
+    """Structures that a dataset's object may have: all of `STRUCTURES`, unless every cell is known."""
     if dataset.known is not None and dataset.known.complete:
         return {"known": PriorSettings(modes=20)}
     return STRUCTURES
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
-    """The model of a dataset's object and finger on its table, for measured contact."""
+    """The sliding model of a dataset's object, finger and table, with the contact of recorded fingers."""
     return Slider(
         dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects, dataset.table
     )  # fmt: skip
 
 
 class EffectCoordinates:
-    """Coordinates z_p of effects, which follow those of maps.
+    """Coordinates z_p of effects, which come after those of maps.
 
     Attributes:
         plain: number of coordinates of the maps.
-        effect_centers: (P,) middles of the effects' parameters.
+        effect_centers: (P,) prior means of the effects' parameters.
         effect_scales: (P,) their standard deviations.
         effect_bounds: (P,) each, lowest and highest values.
         amplitudes: (P,) which of them have a null.
@@ -117,7 +116,7 @@ class EffectCoordinates:
         return self.plain + len(self.effect_scales)
 
     def effect_coordinates(self, values: FloatArray) -> FloatArray:
-        """z_p of effect parameters (…, P)."""
+        """Coordinates z_p of effect parameters (…, P)."""
         return (values - self.effect_centers) / self.effect_scales
 
     def effect_values(self, z: FloatArray) -> FloatArray:
@@ -125,9 +124,9 @@ class EffectCoordinates:
         return np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds)
 
     def effect_deviations(self, hessian: FloatArray) -> FloatArray:
-        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
+        """(P,) standard deviations of the effects' parameters, marginal over everything else.
 
-        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
+        The Hessian (size, size) is that of the data at the best fit; the prior's is added here.
         """
         covariance = np.linalg.inv(hessian + np.eye(self.size))
         return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
@@ -137,13 +136,13 @@ class MapPrior(EffectCoordinates):
     """Coordinates of maps on one grid, see the formulas above.
 
     Args:
-        slider: the model whose maps are meant.
-        settings: strength.
+        slider: the model that the maps belong to.
+        settings: strength of the prior.
         mass: total mass if it was weighed, kg.
-        weight: of the object as far as known, N, for the scale of effects that are forces.
-        effect_prior: means and standard deviations (P,) of the effects' parameters, where more is known of
-            them than their nulls and scales tell.
-        known: what is known of the maps.
+        weight: approximate weight of the object, N, which sets the scale of effects that are forces.
+        effect_prior: means and standard deviations (P,) of the effects' parameters, to replace their nulls
+            and scales.
+        known: what is known about the maps.
     """
 
     def __init__(
@@ -174,37 +173,37 @@ class MapPrior(EffectCoordinates):
 
     @cached_property
     def basis(self) -> FloatArray:
-        """(n, r) B: columns sorted by how much of the prior's variance they carry."""
+        """B (n, r), with columns sorted by their share of the prior's variance."""
         return covariance_basis(self.slider.grid, self.settings)
 
     @cached_property
     def plain(self) -> int:  # type: ignore[override]
-        """Number of coordinates of the maps: z_load (r), z_split (r), z_total, z_mu0, errors that known cells
-        share, z_f."""
+        """Number of coordinates of the maps: z_load (r), z_split (r), z_total, z_mu0, errors shared by known
+        cells, z_f."""
         return 2 * self.basis.shape[1] + 2 + self.cells.levels
 
     def start(self, finger_friction: float) -> FloatArray:
-        """(size,) coordinates of the middle of the prior with some finger friction."""
+        """(size,) coordinates of the prior's centre with a given finger friction."""
         z = np.zeros(self.size)
         z[self.plain - 1] = np.log(finger_friction / self.finger_mean) / self.finger_spread
         return z
 
     def starts(self) -> FloatArray:
-        """(K, size) coordinates to start a search from: contact that sticks and contact that slides are
-        different valleys, unless it is known which."""
+        """(K, size) coordinates to start a search from: sticking and sliding contact are different local
+        minima, unless the finger friction is known."""
         known = self.known is not None and self.known.finger_friction is not None
         return np.array([self.start(mu) for mu in ((self.finger_mean,) if known else _FINGER_STARTS)])
 
     def near(self, maps: Maps) -> FloatArray:
-        """(K, size) coordinates of some maps as well as the basis can have them; those of effects are 0, and
-        known cells stay at their middles."""
+        """(K, size) coordinates of given maps, as closely as the basis allows; those of effects are 0, and
+        known cells stay at their centres."""
         s, K, cells = self.settings, len(maps), self.cells
         free, sized = cells.free, cells.sized
         of_load, of_split = self.spreads(np.ones(1))
         log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
 
         def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they give."""
+            """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they reproduce."""
             columns = np.column_stack([spread * self.basis, np.ones(self.basis.shape[0])])
             found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][:-1].T
             z = np.asarray(found, dtype=np.float64)
@@ -224,22 +223,22 @@ class MapPrior(EffectCoordinates):
         return np.concatenate([z_load, z_split, others], axis=1)
 
     def moved(self, maps: Maps) -> FloatArray:
-        """(K, size) as `near`, with the effects' own values."""
+        """(K, size) coordinates as from `near`, with the effects' own values."""
         z = self.near(maps)
         z[:, self.plain :] = self.effect_coordinates(maps.effects)
         return z
 
     def spreads(self, strength: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """σ_load and σ_split of maps that vary more than usual by a factor, or less.
+        """σ_load and σ_split of maps that vary by a factor more or less than usual.
 
-        σ_split goes with the root of the factor. Pushes say little of how mass and friction are split, so
-        that there the spread of the prior is that of the belief; it was set so that nine in ten true centres
-        of mass lie in 90 % intervals (`slipmap calibrate`).
+        σ_split grows with the square root of the factor. Pushes say little about the split of mass and
+        friction, so the belief keeps the prior's spread there; it was set so that nine in ten true centres of
+        mass lie in 90 % intervals (`slipmap calibrate`).
         """
         return self.settings.load_map * strength, self.settings.split * np.sqrt(strength)
 
     def rescaled(self, z: FloatArray, strength: FloatArray) -> FloatArray:
-        """(K, size) coordinates that give the maps of z (size,), each with a strength (K,) of its own."""
+        """(K, size) coordinates that give the maps of z (size,), each at its own strength (K,)."""
         r = self.basis.shape[1]
         result = np.repeat(z[None], len(strength), axis=0)
         parts = slice(r), slice(r, 2 * r)
@@ -248,7 +247,7 @@ class MapPrior(EffectCoordinates):
         return result
 
     def maps(self, z: FloatArray, strength: FloatArray | float = 1.0) -> Maps:
-        """Maps at coordinates (K, size); `strength` (K,) see `spreads`."""
+        """Maps at coordinates (K, size); for `strength` (K,) see `spreads`."""
         r = self.basis.shape[1]
         s, cells = self.settings, self.cells
         of_load, of_split = self.spreads(np.broadcast_to(strength, (len(z),)))
@@ -278,7 +277,7 @@ class MapPrior(EffectCoordinates):
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
-        """Turn derivatives by a rollout's reduced columns (K, …, P) into derivatives by z and start pose.
+        """Convert derivatives over a rollout's reduced columns (K, …, P) to ones over z and start pose.
 
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
@@ -291,16 +290,16 @@ class MapPrior(EffectCoordinates):
 
     @property
     def start_columns(self) -> slice:
-        """Where x, y, θ of the start stand among a rollout's reduced columns."""
+        """Position of the start's x, y, θ among a rollout's reduced columns."""
         first = len(self.slider.grid) + INERTIA_COLUMNS + 1
         return slice(first, first + 3)
 
     def columns(self, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
-        """(K, P, size) derivatives of what a rollout's reduced columns stand for by the coordinates.
+        """(K, P, size) derivatives of the quantities behind a rollout's reduced columns over the coordinates.
 
-        On a table P counts the cells' masses too, which are last; rollouts that stay away from its rim do not
-        have these columns. Where a friction is at its bound the derivative is that of the unbounded formula,
-        so that a step can lead back inside.
+        On a table, P includes the cells' masses, which come last; rollouts that stay away from its rim lack
+        these columns. Where a friction is at its bound, the derivative is that of the unbounded formula, so
+        that a step can lead back inside.
         """
         K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
         s, cells = self.settings, self.cells
@@ -310,7 +309,7 @@ class MapPrior(EffectCoordinates):
         load = (maps.mass * maps.mu * self.slider.gravity)[..., None]
         moved = self.slider.inertia_basis.T * maps.mass[:, None]
         massive, rubbing = (share[:, None] * self.basis for share in (cells.mass_share, cells.friction_share))
-        # What the columns of loads and inertia, (n + 4), contribute: by log friction, by log mass.
+        # Contributions of the columns of loads and inertia, (n + 4), over log friction and over log mass.
         by_friction = np.concatenate([load * rubbing, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
         by_mass = np.concatenate([load * massive, moved @ massive], axis=1)
         by_total = np.concatenate(
@@ -353,7 +352,7 @@ class MapPrior(EffectCoordinates):
 
 
 def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
-    """(n, r) square root of the covariance of a map over the cells, cut to its leading modes."""
+    """(n, r) square root of the covariance of a map over the cells, truncated to its leading modes."""
     centers = grid.centers
     diameter = float(np.hypot(*(np.ptp(centers, axis=0) + grid.width)))
     distance = np.hypot(*(centers[:, None] - centers[None]).transpose(2, 0, 1)) / (settings.length * diameter)

@@ -1,5 +1,5 @@
-"""How far a prediction of one push is off: ADD, position, angle, fit in percent, force; and how far any would
-be, as sensors or repeated pushes tell."""
+"""Errors of the prediction of one push (ADD, position, angle, fit in percent, force), and the noise floor
+from sensors or repeated pushes."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class Errors:
     """Errors of one prediction of one push; NaN where a number does not exist."""
 
     final_add: float  # mean distance of the cells at the end, m
-    # the same averaged over the compared poses; the final one where only the end was measured
+    # the same averaged over the compared poses; equal to the final one where only the end was measured
     mean_add: float
     position: float  # distance of the object frame's origin at the end, m
     angle: float  # absolute error of the angle at the end, rad
-    # 100 (1 - ‖y - ŷ‖ / ‖y - mean(y)‖) over all poses, the angle weighed with the cells' radius of gyration;
-    # the NRMSE fit of MATLAB's `compare`. 100 is perfect, 0 as good as the mean pose.
+    # 100 (1 - ‖y - ŷ‖ / ‖y - mean(y)‖) over all poses, with the angle times the cells' radius of gyration;
+    # the NRMSE fit of MATLAB's `compare`. 100 is perfect, 0 no better than the mean pose.
     fit: float
     fit_x: float  # the same for x alone; strongly negative where the object hardly moves along x
     fit_y: float  # for y
     fit_theta: float  # for the angle
     force: float  # root mean square of the force error where the finger presses steadily, N
     force_share: float  # the same over the root mean square of the measured force
-    # root mean square over all poses, and over forces where the finger presses steadily, of the error in
-    # standard deviations of the sensors' noise; 1 is perfect
+    # root mean square, over all poses and the forces of steady pushing, of the error in standard deviations
+    # of the sensor noise; 1 is perfect
     misfit: float
 
     def to_json(self) -> dict[str, float]:
@@ -50,7 +50,7 @@ def errors(
     grid: CellGrid,
     noise: SensorNoise,
 ) -> Errors:
-    """Compare predicted poses (S, 3) and forces (T, 2) with one push; no forces where None."""
+    """Compare predicted poses (S, 3) and forces (T, 2), or None for no forces, with one push."""
     measured = observation.poses
     distance = add(poses, measured, grid.centers)
     force, share = np.nan, np.nan
@@ -59,7 +59,7 @@ def errors(
         force = _rms(forces[used] - observation.forces[used])
         share = force / _rms(observation.forces[used])
     sigma = np.array([noise.position, noise.position, noise.angle])
-    # What a mean of rows lacks of the noise of one row is put back.
+    # Rescale a mean of rows to the noise of a single row.
     square = ((poses - measured) / sigma) ** 2 + (1.0 - 1.0 / observation.pose_rows)[:, None]
     squares = [square.ravel()]
     if forces is not None and used.any():
@@ -83,19 +83,19 @@ def errors(
 
 @dataclass(frozen=True)
 class Paired:
-    """How two models' misfits of the same pushes compare, push by push."""
+    """Push-by-push comparison of two models' misfits on the same pushes."""
 
-    # geometric mean over pushes of the second model's misfit over the first one's; one push that starts near
-    # to balance does not decide it
+    # geometric mean over pushes of the ratio of the second model's misfit to the first's, so that one push
+    # that starts near balance does not decide
     ratio: float
-    # lower end of its 90 % interval, from the scatter over pushes (Student's t of the logarithms); 0 where
-    # there are fewer than two
+    # lower end of its 90 % interval, from the scatter over pushes (Student's t of the logarithms); 0 with
+    # fewer than two pushes
     low: float
-    high: float  # upper end; infinite where there are fewer than two
+    high: float  # upper end; infinite with fewer than two pushes
 
     @classmethod
     def of(cls, first: FloatArray, second: FloatArray) -> Paired:
-        """Of misfits (L,) of the two models, at least one push."""
+        """Compare misfits (L,) of the two models; at least one push."""
         logs = np.log(second) - np.log(first)
         mean = float(logs.mean())
         if len(logs) < 2:
@@ -105,26 +105,26 @@ class Paired:
 
     @property
     def verdict(self) -> str:
-        """What the pushes say of the second model: `for`, `against`, or `undecided`."""
+        """Whether the pushes speak for or against the second model: `for`, `against` or `undecided`."""
         if self.high < 1.0:
             return "for"
         return "against" if self.low > 1.0 else "undecided"
 
     def to_json(self) -> dict[str, float | str | None]:
-        """All fields, null where an end is not known, and the verdict."""
+        """All fields, with null for an unknown end, and the verdict."""
         known = np.isfinite(self.high)
         ends = {"low": self.low if known else None, "high": self.high if known else None}
         return {"ratio": self.ratio, **ends, "verdict": self.verdict}
 
 
 def resting_errors(observation: Observation, grid: CellGrid, noise: SensorNoise) -> Errors:
-    """The baseline of an object that does not move."""
+    """Errors of the baseline of an object that does not move."""
     still = np.broadcast_to(observation.push.start_pose, observation.poses.shape)
     return errors(observation, still, None, grid, noise)
 
 
 def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:
-    """Fit in percent of predicted rows (S, c); NaN where the measured rows do not vary (one row)."""
+    """Fit in percent of predicted rows (S, c); NaN if the measured rows do not vary (one row)."""
     spread = float(np.linalg.norm(measured - measured.mean(axis=0)))
     if spread == 0.0:
         return float("nan")
@@ -137,12 +137,12 @@ def _rms(vectors: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """An error below which nobody can tell two models apart."""
+    """Error below which two models cannot be told apart."""
 
     add: float  # ADD at the end of a push, m
     source: str  # `repeats` or `declared noise`
     repeats: int  # number of pushes that have a repeat
-    groups: tuple[tuple[str, ...], ...]  # names of the pushes that repeat each other
+    groups: tuple[tuple[str, ...], ...]  # names of pushes that repeat each other
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
@@ -152,9 +152,9 @@ class NoiseFloor:
 def noise_floor(
     observations: Sequence[Observation], noise: Noise, grid: CellGrid, rng: np.random.Generator
 ) -> NoiseFloor | None:
-    """Scatter of repeated pushes where there are any, else the declared noise of a pose; None without both.
+    """Scatter of repeated pushes if there are any, otherwise the declared pose noise; None without either.
 
-    Repeats also hold what differs from push to push though nobody wanted it to, so they come first.
+    Repeats take precedence because they include unintended differences from push to push.
     """
     groups = repeated_pushes(observations)
     if groups:
@@ -168,8 +168,8 @@ def noise_floor(
 
 
 def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:
-    """Groups of pushes (two or more) that do the same to the object: the fingers' tracks, seen from the
-    objects' start, never part by more than 1.5 mm, and durations differ by no more than 5 %.
+    """Groups of two or more pushes that repeat each other: the finger tracks, seen from the object's start
+    pose, never differ by more than 1.5 mm, nor the durations by more than 5 %.
 
     Each push joins the first group whose first push it repeats.
     """
@@ -195,7 +195,7 @@ def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:
 
 
 def _track(observation: Observation) -> FloatArray | None:
-    """(21, 2) finger as seen from the object's start pose, evenly in time; None without a finger."""
+    """(21, 2) finger track as seen from the object's start pose, at even times; None without a finger."""
     push = observation.push
     if np.isnan(push.tip).any() or push.start_twist.any():
         return None
@@ -210,7 +210,7 @@ def _seen_from(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _scatter(group: list[Observation], grid: CellGrid) -> FloatArray:
-    """(n,) ADD of each end pose, seen from its start, from the group's mean; unbiased for small groups."""
+    """(n,) ADD of each end pose, seen from its start, to the group's mean; unbiased for small groups."""
     ends = []
     for observation in group:
         start, end = observation.push.start_pose, observation.poses[-1]

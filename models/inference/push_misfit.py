@@ -1,11 +1,11 @@
-"""How badly one push was predicted, beside what sensors and the model are off by anyway; what that proves.
+"""Misfit of one push relative to the errors expected of sensors and model, and the evidence in it.
 
 The statistic is the root mean square of a push's residuals after whitening with its error model: about 1
-where the error model holds and the belief is sure of itself.
+where the error model holds and the belief is certain.
 
-Evidence gathers over pushes. If nothing is missing, each p is uniform or larger, whatever came before. A bet
-against that pays e(p), with mean 1 at most, and E ← max(E, 1) e(p) from push to push is a CUSUM of such bets:
-at least 1/a pushes pass on average before E reaches 1/a (Vovk, Gammerman and Shafer, 2005).
+Evidence accumulates over pushes. If nothing is missing, each p is uniform or larger, whatever came before. A
+bet against that pays e(p), with mean at most 1, and E ← max(E, 1) e(p) from push to push is a CUSUM of such
+bets: on average at least 1/a pushes pass before E reaches 1/a (Vovk, Gammerman and Shafer, 2005).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from slipmap.models.physics.rollout import Push
 
 
 def pose_noise(position: float, angle: float) -> SensorNoise:
-    """Noise of observed poses alone: standard deviations of x and y each, m, and of θ, rad. That of a mean
-    force is small beside what a model is off by."""
+    """Noise of observed poses: standard deviations of x and y each, m, and of θ, rad. The noise of a mean
+    force is negligible beside the model error."""
     return SensorNoise(position, angle, 0.0, declared=True)
 
 
 def observation_of(push: Push, poses: FloatArray) -> Observation:
-    """A push with poses (S, 3) observed at its `pose_times`, without forces."""
+    """Observation of a push with poses (S, 3) at its `pose_times`, without forces."""
     none = np.zeros(0)
     return Observation(
         "push", "heldout", push, poses, np.ones(len(poses)), 1, np.zeros((0, 2)), none, none.astype(bool)
@@ -38,7 +38,7 @@ def observation_of(push: Push, poses: FloatArray) -> Observation:
 
 
 def whitening_factors(predicted: Observation, error: ErrorModel, grid: CellGrid) -> FloatArray:
-    """(3, S, S) Cholesky factors; the prediction's start was seen with the noise of a pose, too."""
+    """(3, S, S) Cholesky factors of the error model, including the pose noise of the prediction's start."""
     radius = radius_of_gyration(grid)
     covariance = error.pose_covariance(predicted, travelled(predicted, grid.centers), radius)
     noise = np.array([error.noise.position, error.noise.position, radius * error.noise.angle])
@@ -46,15 +46,15 @@ def whitening_factors(predicted: Observation, error: ErrorModel, grid: CellGrid)
 
 
 def steady_force(observation: Observation) -> FloatArray | None:
-    """(2,) mean measured force of the finger on the object in steady pushing, world, N; None where it was not
-    measured, or the push was no more than a tap, whose force is that of the blow."""
+    """(2,) mean measured force of the finger on the object in steady pushing, world frame, N; None where it
+    was not measured, or for a tap, whose force is that of the impact."""
     if observation.sliding.sum() < 6:
         return None
     return observation.forces[observation.sliding].mean(axis=0)
 
 
 def predicted_steady_forces(belief: Belief, observation: Observation) -> FloatArray:
-    """(K, 2) the same mean as each hypothesis predicts it for the same push, N."""
+    """(K, 2) the same mean force as predicted by each hypothesis, N."""
     rollouts = belief.slider.rollout(belief.maps, [observation.push])
     return rollouts.forces_of(0)[:, observation.sliding].mean(axis=1)
 
@@ -70,26 +70,26 @@ def resting_misfit(
     *,
     taught: int = 0,
 ) -> tuple[float, float]:
-    """Misfit of where an object came to rest and of the force that it took, beside all that is not known.
+    """Misfit of an object's rest pose and of the force of the push, relative to their uncertainty.
 
     The n residuals r against the mean of the hypotheses are whitened with the covariance Σ of the error model
     and of the hypotheses together: n misfit² = rᵀ Σ⁻¹ r, which is χ² distributed with n degrees of freedom if
-    errors and hypotheses are normally distributed. A belief of few pushes knows its own spread badly; that of
-    ν degrees of freedom gives an F distribution instead.
+    errors and hypotheses are normally distributed. A belief from few pushes knows its own spread poorly; with
+    ν degrees of freedom the distribution is F instead.
 
     Args:
         start: (3,) pose before the push.
         observed: (3,) pose at rest after it.
-        predicted: (K, 3) where the hypotheses ended.
-        probability: (K,) of them.
-        error: noise of the poses, α, and β, by which share of it a force is off anyway.
+        predicted: (K, 3) rest poses of the hypotheses.
+        probability: (K,) of the hypotheses.
+        error: noise of the poses, α, and β, the relative model error of a force.
         grid: cells.
-        forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to go by the
+        forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to use the
             pose alone.
-        taught: from how many pushes the hypotheses were learnt; 0 where their spread is known.
+        taught: number of pushes that the hypotheses were learnt from; 0 if their spread is exact.
 
     Returns:
-        The misfit, about 1 where nothing is missing, and p, the probability of one as large then.
+        The misfit, about 1 where nothing is missing, and p, the probability of one as large in that case.
     """
     scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
     mean = probability @ predicted
@@ -108,19 +108,19 @@ def resting_misfit(
     covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
     n = len(r)
-    # Two degrees of freedom for each push that taught: with them 2 % of 84 pushes of explorations without
-    # hidden effects had p < 0.01; with a spread held to be exact, 11 %.
+    # Two degrees of freedom per fitted push: of 84 pushes of explorations without hidden effects, 2 % then
+    # had p < 0.01; with a spread taken as exact, 11 %.
     p = fdtrc(n, 2 * taught, square / n) if taught else chdtrc(n, square)
     return float(np.sqrt(square / n)), float(p)
 
 
 def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, error: ErrorModel) -> EndRegion:
-    """Where an object may come to rest: the region of `Prediction.end_region`, of ends that were seen.
+    """Region in which an object may come to rest, as `Prediction.end_region`, from predicted rest poses.
 
     Args:
         start: (3,) pose before the push.
-        predicted: (K, 3) where the hypotheses of the belief ended.
-        belief: what it was predicted from; where it has not learnt what its model is off by, α counts.
+        predicted: (K, 3) rest poses of the belief's hypotheses.
+        belief: the belief that predicted them; if it has no learnt model error, α is used.
         error: noise of the poses, and α.
     """
     if END_ERRORS in belief.settings:

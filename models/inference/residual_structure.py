@@ -1,21 +1,21 @@
 """Where a model fails: the conditions on which the residual velocity and the residual force depend.
 
 A factor is a set of products feature × component. A component is a residual in some frame (along the motion,
-towards the table's x, counter-clockwise …); a feature is a number that the conditions give. The factor
+towards the table's x, counter-clockwise …); a feature is a number computed from the conditions. The factor
 matters where the sum of such a product over pushes is larger than chance explains. Each factor is tested with
 whole pushes as the unit of evidence (`sign_flips`), and all tests of one comparison are corrected together
-(Holm). Size and test are about the coordinate that deviates most, and the question is whether it is more than
-a negligible size.
+(Holm). Size and test refer to the coordinate that deviates most, and the test asks whether it exceeds a
+negligible size.
 
-Learning from some of the pushes makes their residuals smaller than chance, and those of the others larger,
-since the errors of the maps are common to them. Over all pushes together the first outweighs the second as
-long as no more pushes are held out than fitted, so that the tests then err to the safe side.
+Learning from some of the pushes makes their residuals smaller than by chance, and those of the others larger,
+since they share the errors of the maps. Over all pushes the first outweighs the second as long as no more
+pushes are held out than fitted; the tests are then conservative.
 
 The second part is the memory of the residual, its correlation with the finger's motion, and the delay of
-measured poses. Within a push neighbouring residuals are alike, so the usual bounds ±1.96/√samples would find
-correlation anywhere. Here the bounds come from whole pushes: for the autocorrelation from pairing each push
-with another one, for the correlation with the finger from random signs of whole pushes, and both hold for
-all lags together.
+measured poses. Neighbouring residuals within a push are similar, so the usual bounds ±1.96/√samples would
+find correlation everywhere. Here the bounds come from whole pushes: for the autocorrelation from pairing each
+push with another one, for the correlation with the finger from random signs of whole pushes, and both hold
+for all lags together.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ _ALWAYS = "always"
 
 @dataclass(frozen=True)
 class Factor:
-    """One condition that residuals are held against."""
+    """One condition that residuals are tested on."""
 
     name: str  # key, such as `table_direction`
-    title: str  # for a person, such as `direction of motion on the table`
-    features: Callable[[Conditions], Columns]  # numbers that the conditions give
+    title: str  # display name, such as `direction of motion on the table`
+    features: Callable[[Conditions], Columns]  # numbers computed from the conditions
     components: _Components  # of the residuals; all products of the two are tested together
-    # whether it compares parts of one push, which a push known by its ends cannot show
+    # whether it compares parts of one push, which is impossible where only the ends are known
     along_the_push: bool = False
 
     def products(self, residuals: Residuals) -> tuple[list[str], FloatArray, FloatArray]:
@@ -148,7 +148,7 @@ def _turning(residuals: Residuals) -> Columns:
 
 
 def _onward(residuals: Residuals) -> Columns:
-    """Along the motion of the centroid and, for residual motion, in the sense of its turning."""
+    """Components along the centroid's motion and, for residual motion, in the direction of its rotation."""
     unit = residuals.at.velocity / np.maximum(residuals.at.speed, 1e-12)[:, None]
     if residuals.values.shape[1] == 2:
         return {"along the motion": (unit[:, :2] * residuals.relative).sum(axis=1)}
@@ -171,17 +171,17 @@ def _join(*components: _Components) -> _Components:
 def _factors(
     amiss: str, *turned: _Components, place: _Components, contact: _Components
 ) -> tuple[Factor, ...]:
-    """All conditions that residuals are held against; `turned` are further components, of motion alone."""
+    """All conditions that residuals are tested on; `turned` are further components, for motion only."""
     directed = _join(_onward, _sideways, *turned)
     return (
-        Factor("overall", f"everywhere alike: {amiss}", _always, _onward),
-        Factor("table_drift", "one direction of the table", _always, _join(_world, *turned)),
-        Factor("object_drift", "one direction of the object", _always, _in_object),
+        Factor("overall", f"everywhere {amiss}", _always, _onward),
+        Factor("table_drift", "one direction on the table", _always, _join(_world, *turned)),
+        Factor("object_drift", "one direction in the object frame", _always, _in_object),
         Factor("table_place", "place on the table", _table_place, place),
         Factor("contact_place", "place of contact on the object", _contact_place, contact),
         Factor("speed", "speed", _speed, _onward),
         Factor("table_direction", "direction of motion on the table", _table_direction, directed),
-        Factor("object_direction", "direction of motion seen from the object", _object_direction, directed),
+        Factor("object_direction", "direction of motion in the object frame", _object_direction, directed),
         Factor("phase", "phase of the push", _phase, _onward, along_the_push=True),
         Factor("time", "time within the push", _time, _onward, along_the_push=True),
         Factor("order", "order of the pushes", _order, _join(_onward, _world, *turned)),
@@ -199,15 +199,15 @@ FORCE_FACTORS = _factors(
 )
 
 LEVEL = 0.05
-"""Chance of any false alarm in one comparison."""
+"""Probability of any false alarm in one comparison."""
 
 NEGLIGIBLE = {"motion": 0.005, "force": 0.03, "delay": 0.005}
-"""Patterns up to these sizes are not looked for; the tests ask whether there is more. Half a percent of the
-way is what identification allows its model anyway; the level of forces is learnt to a few percent, since
-it weighs them lightly; and half the model's longest step, 5 ms, is no delay."""
+"""Sizes up to which patterns are ignored; the tests ask whether there is more. Half a percent of the travel
+is the model error that identification always allows; it weighs forces lightly, so their level is learnt only
+to a few percent; and half the model's longest step, 5 ms, does not count as a delay."""
 
 OUTLYING = 2.0
-"""A push whose residuals are larger than this many times the median push's is scaled down to that."""
+"""A push whose residuals exceed those of the median push by more than this factor is scaled down to it."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ class Pattern:
     """How strongly residuals depend on one factor, and whether chance explains that."""
 
     factor: str  # key of the factor, such as `table_direction`
-    title: str  # for a person
+    title: str  # display name
     quantity: str  # `motion`, `force` or `delay`
     strongest: str  # the product of feature and component that deviates most, in words
     # its size: residual per typical (rms) change of the feature, as a share of the push's speed (for motion)
@@ -229,12 +229,12 @@ class Pattern:
 
     @property
     def significant(self) -> bool:
-        """Whether chance is an unlikely explanation, all tests considered."""
+        """Whether chance is an unlikely explanation, after correction for all tests."""
         return self.p_corrected < LEVEL
 
     @property
     def sureness(self) -> float:
-        """Size over the half width of its interval, which orders patterns of one p-value."""
+        """Size over the half width of its interval, to order patterns with equal p-values."""
         return abs(self.size) / max(0.5 * (self.high - self.low), 1e-300)
 
     def to_json(self) -> dict[str, object]:
@@ -245,9 +245,9 @@ class Pattern:
 def factor_patterns(
     residuals: Residuals, quantity: str, rng: np.random.Generator, *, whole_pushes: bool = False
 ) -> list[Pattern]:
-    """Test residual velocities (`quantity` motion) or forces (`force`) on every factor; not yet corrected.
+    """Test residual velocities (`quantity` motion) or forces (`force`) on every factor, without correction.
 
-    With `whole_pushes` only ends of pushes are known, and factors within a push are left out.
+    With `whole_pushes` only the ends of pushes are known, and factors within a push are left out.
     """
     factors = MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS
     tempered = replace(
@@ -259,9 +259,9 @@ def factor_patterns(
 
 
 def push_weights(residuals: Residuals) -> FloatArray:
-    """(B,) factors, at most 1, that keep a push which no model explains from deciding everything.
+    """(B,) factors, at most 1, that keep a push that no model explains from deciding everything.
 
-    They depend on the size of residuals and not on their sign, which the sign-flip test allows.
+    They depend on the size of the residuals, not on their sign, so the sign-flip test stays valid.
     """
     count = len(residuals.scale)
     weights = residuals.weights[:, None]
@@ -281,7 +281,7 @@ def _pattern(factor: Factor, residuals: Residuals, quantity: str, rng: np.random
     weights = residuals.weights[:, None]
     total = push_sums(weights, residuals.at.push, count)
     total[total == 0] = 1.0
-    # Every push counts alike, however long it took.
+    # Every push counts the same, however long it took.
     scores = push_sums(weights * features * components, residuals.at.push, count) / total
     power = push_sums(weights * features**2, residuals.at.push, count) / total
     test = sign_flip_test(beyond(scores, power, NEGLIGIBLE[quantity]), rng)
@@ -292,10 +292,10 @@ def described(
     test: SignFlipTest, scores: FloatArray, power: FloatArray, names: Sequence[str], factor: str, title: str,
     quantity: str,
 ) -> Pattern:  # fmt: skip
-    """Pattern of the strongest coordinate: slope, with the sandwich interval over pushes.
+    """Pattern of the strongest coordinate: its slope, with the sandwich interval over pushes.
 
     Args:
-        test: of the scores.
+        test: result for the scores.
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features, so that the slope is the ratio of both sums over pushes.
         names: (d,) of the coordinates; factor, title and quantity are as in `Pattern`.
@@ -311,7 +311,7 @@ def described(
 
 
 def corrected(patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
-    """Patterns with p-values corrected for their number, the surest first."""
+    """Patterns with p-values corrected for their number, the most certain first."""
     together = holm(np.array([pattern.p for pattern in patterns]))
     results = [replace(pattern, p_corrected=float(p)) for pattern, p in zip(patterns, together, strict=True)]
     return tuple(sorted(results, key=lambda pattern: (pattern.p, -pattern.sureness)))
@@ -335,12 +335,12 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class Correlation(_Fields):
-    """Correlation over lags, with what chance gives."""
+    """Correlation over lags, with the bounds of chance."""
 
     name: str  # `memory`, `finger_along` or `finger_left`
     lags: FloatArray  # (L,) s; at a positive one the residual follows
     values: FloatArray  # (L,) correlation, -1 to 1
-    bounds: FloatArray  # (L,) |values| stays below them with 95 % probability at all lags together, by chance
+    bounds: FloatArray  # (L,) chance keeps |values| below them at all lags together with 95 % probability
     p: float  # of the largest excess
 
 
@@ -351,13 +351,13 @@ class Correlations(_Fields):
     memory: Correlation  # of the residual with itself
     finger_along: Correlation  # of the residual with the finger's velocity, in its direction
     finger_left: Correlation  # of the residual with the finger's velocity, to its left
-    memory_time: float  # lag at which the memory has fallen to 1/e, s; NaN where it never does
-    independent: float  # about so many independent residuals a push holds: its duration over twice that
+    memory_time: float  # lag at which the memory has fallen to 1/e, s; NaN if it never does
+    independent: float  # approximate number of independent residuals per push: its duration over twice that
 
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """One push at even times: residual (n, 3) and velocity of the finger (n, 2)."""
+    """One push at evenly spaced times: residual (n, 3) and velocity of the finger (n, 2)."""
 
     residual: FloatArray
     finger: FloatArray
@@ -369,7 +369,7 @@ def correlations(
     grid: CellGrid,
     rng: np.random.Generator,
 ) -> Correlations | None:
-    """Correlations over all pushes whose course was measured; None where there are too few."""
+    """Correlations over all pushes that were measured along the way; None where there are too few."""
     found = [_track(o, motion, grid) for o, motion in zip(observations, motions, strict=True)]
     tracks = [track for track in found if track is not None]
     if len(tracks) < _LEAST_PUSHES:
@@ -395,7 +395,7 @@ def delay_pattern(
     grid: CellGrid,
     rng: np.random.Generator,
 ) -> Pattern | None:
-    """Whether measured poses come late: the delay is minus the slope of residual over predicted velocity."""
+    """Delay of measured poses: minus the slope of the residual over the predicted velocity."""
     scores, powers = [], []
     for observation, motion in zip(observations, motions, strict=True):
         if len(observation.poses) < 3:
@@ -405,8 +405,8 @@ def delay_pattern(
         speed = np.sqrt((velocity**2).sum(axis=1).mean())
         if speed == 0.0:
             continue
-        # A constant delay shows in how the residual follows changes of velocity; what merely grows along
-        # the push is no delay, so both lose their mean and their trend first.
+        # A constant delay shows as a residual that follows changes of velocity; a residual that grows along
+        # the push is not a delay, so mean and trend of both are removed first.
         residual, motion_now = (_without_trend(values, times) for values in (measured - predicted, velocity))
         scores.append((residual * motion_now).sum() / speed**2 / len(times))
         powers.append((motion_now**2).sum() / speed**2 / len(times))
@@ -445,12 +445,12 @@ def _track(observation: Observation, motion: Motion, grid: CellGrid) -> _Track |
     speed = np.sqrt((finger**2).sum(axis=1).mean())
     if size == 0.0 or speed == 0.0:
         return None
-    # Each push counts alike: its residual and its finger's speed are scaled to a mean square of one.
+    # Each push counts the same: residual and finger speed are scaled to a mean square of one.
     return _Track(residual / size, finger / speed)
 
 
 def _memory(tracks: list[_Track], most: int, rng: np.random.Generator) -> Correlation:
-    """Autocorrelation; by chance what one push has to do with another, at every lag."""
+    """Autocorrelation at every lag; correlations between different pushes give the bounds of chance."""
     B = len(tracks)
     longest = max(len(track.residual) for track in tracks)
     padded = np.zeros((B, longest, 3))
@@ -490,7 +490,7 @@ def _with_finger(tracks: list[_Track], most: int, name: str, rng: np.random.Gene
 def _bounded(
     name: str, lags: NDArray[np.int64], values: FloatArray, chance: FloatArray, skip: int = 0
 ) -> Correlation:
-    """Bounds that hold at all lags (in steps) from `skip` on together."""
+    """Bounds that hold jointly at all lags (in steps) from `skip` on."""
     scale = np.sqrt((chance**2).mean(axis=0))
     scale = np.maximum(scale, 1e-12)
     largest = (np.abs(chance) / scale)[:, skip:].max(axis=1)

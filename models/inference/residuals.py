@@ -1,12 +1,12 @@
-"""What a prediction leaves unexplained, as a rate: the residual velocity and the residual force.
+"""Residual velocity and residual force: what a prediction leaves unexplained, as a rate.
 
-The residual is measured minus predicted. A pose that is off stays off, so its residual says little of the
-moment; the rate at which it grows says when and where the model fails. It is taken from the increments of
+The residual is measured minus predicted. A pose that is off stays off, so its residual says little about the
+moment; the rate at which it grows shows when and where the model fails. The rate is taken from increments of
 the residual between every second sample (about a fifteenth of a push), where the object moves. Increments
-telescope: summed over a push, the sensor's noise enters once and not with every sample.
+telescope: summed over a push, sensor noise enters once and not with every sample.
 
-Conditions come from the predicted motion and the finger's recorded path, never from the measured pose: the
-noise of a measured pose is in the residual too, and would make the two look related.
+Conditions come from the predicted motion and the finger's recorded path, never from the measured pose, whose
+noise is also in the residual and would make the two look related.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 
 class Phase(IntEnum):
-    """What finger and object are doing."""
+    """Phase of a push."""
 
     FIRST_TOUCH = 0
     STICKING = 1
@@ -44,14 +44,14 @@ PHASE_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions of N pieces of pushes: where, which way, how fast, touching how."""
+    """Conditions of N pieces of pushes: place, direction, speed and contact."""
 
     push: NDArray[np.int64]  # (N,) index of the push
-    time: FloatArray  # (N,) middle, s after the first pose
+    time: FloatArray  # (N,) midpoint, s after the first pose
     share: FloatArray  # (N,) the same as a share of the push's duration
     place: FloatArray  # (N, 2) cells' centroid on the table, m
     angle: FloatArray  # (N,) of the object frame, rad
-    # (N, 3) of the centroid in the world, m/s, and turning times the cells' radius of gyration
+    # (N, 3) of the centroid in the world, m/s, and angular velocity times the cells' radius of gyration
     velocity: FloatArray
     contact: FloatArray  # (N, 2) contact in the object frame, m; NaN where nothing touches
     phase: NDArray[np.int64]  # (N,) see `Phase`
@@ -71,12 +71,12 @@ class Conditions:
 
     @property
     def object_direction(self) -> FloatArray:
-        """(N,) the same seen from the object, -π to π."""
+        """(N,) the same in the object frame, -π to π."""
         return np.angle(np.exp(1j * (self.table_direction - self.angle)))
 
     @property
     def translating(self) -> FloatArray:
-        """(N,) share of translation in the motion, 0 to 1; its direction means nothing near 0."""
+        """(N,) share of translation in the motion, 0 to 1; near 0 its direction is meaningless."""
         return np.hypot(*self.velocity[:, :2].T) / np.maximum(self.speed, 1e-12)
 
     def rows(self, chosen: NDArray[np.bool_]) -> Self:
@@ -85,7 +85,7 @@ class Conditions:
 
     @classmethod
     def joined(cls, parts: list[Self]) -> Self:
-        """Pieces of several pushes in one."""
+        """Concatenate the pieces of several pushes."""
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
 
@@ -114,7 +114,7 @@ def conditions(
     contact, phase = _touch(observation, first, last, begin, end, grid, finger_radius)
     way = np.linalg.norm((at_centroid(first, grid) - at_centroid(track[0], grid)) * [1, 1, radius], axis=1)
     pressing = (phase == Phase.STICKING) | (phase == Phase.SLIDING)
-    # First touch lasts until the object has moved so far, m.
+    # First touch lasts until the object has moved this far, m.
     phase[pressing & (way < 1.5e-3)] = Phase.FIRST_TOUCH
     return Conditions(
         push=np.full(len(begin), push, dtype=np.int64),
@@ -132,7 +132,7 @@ def _touch(
     observation: Observation, first: FloatArray, last: FloatArray, begin: FloatArray, end: FloatArray,
     grid: CellGrid, radius: float,
 ) -> tuple[FloatArray, NDArray[np.int64]]:  # fmt: skip
-    """Contact place (N, 2) and phase (N,), which is first touch only where the finger arrives."""
+    """Contact points (N, 2) and phases (N,); `FIRST_TOUCH` occurs only where the finger arrives."""
     N = len(begin)
     push = observation.push
     phase = np.full(N, Phase.COASTING, dtype=np.int64)
@@ -146,15 +146,15 @@ def _touch(
     touching = [gap < radius + 5e-4 for gap in gaps]  # m
     for there, foot in zip(touching, feet, strict=True):
         contact[there] = np.where(np.isnan(contact[there]), foot[there], 0.5 * (contact[there] + foot[there]))
-    # Contact slides by the way of the finger's surface relative to the object's, along the outline. The
-    # finger does not turn, so seen from the object its surface turns back about its centre.
+    # Sliding is the motion of the finger's surface relative to the object's, along the outline. The finger
+    # does not rotate, so seen from the object its surface rotates backwards about its centre.
     turn = (last - first)[:, 2:]
     arm = feet[1] - tips[1]
     normal = arm / np.maximum(np.linalg.norm(arm, axis=1, keepdims=True), 1e-12)
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
     slip = (tangent * (tips[1] - tips[0])).sum(axis=1) - turn[:, 0] * np.linalg.norm(arm, axis=1)
     way = np.linalg.norm(path[1] - path[0], axis=1)
-    creep = 0.15  # share of the finger's way, up to which contact that moves along the outline sticks
+    creep = 0.15  # contact that moves by less than this share of the finger's travel counts as sticking
     sliding = np.abs(slip) > creep * np.maximum(way, 1e-9)
     phase[touching[1]] = np.where(sliding, Phase.SLIDING, Phase.STICKING)[touching[1]]
     phase[touching[1] & ~touching[0]] = Phase.FIRST_TOUCH
@@ -162,7 +162,7 @@ def _touch(
 
 
 def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray]:
-    """Distance (N,) of points to the outline and (N, 2) the nearest points on it, object frame."""
+    """Distances (N,) of points to the outline, and the nearest points (N, 2) on it, object frame."""
     start, way = grid.edges[:, :2], grid.edges[:, 2:] - grid.edges[:, :2]
     along = ((points[:, None] - start) * way).sum(axis=2) / (way**2).sum(axis=1)
     feet = start + np.clip(along, 0.0, 1.0)[..., None] * way
@@ -177,11 +177,11 @@ class Residuals:
     """Residual velocities or forces of N pieces of pushes."""
 
     at: Conditions  # conditions of the pieces
-    # (N, 3) residual velocity in the world, m/s, the turning times the cells' radius of gyration; or (N, 2)
-    # residual force on the object in the world, N
+    # (N, 3) residual velocity in the world, m/s, with the angular velocity times the cells' radius of
+    # gyration; or (N, 2) residual force on the object in the world, N
     values: FloatArray
     weights: FloatArray  # (N,) duration of a piece, s; of a force 1
-    # (B,) what makes pushes comparable: mean speed of each push, m/s; or the typical force, N
+    # (B,) scale of each push: its mean speed, m/s; or the typical force, N
     scale: FloatArray
 
     @property
@@ -202,7 +202,7 @@ def motion_residuals(
         steps = [np.diff(track[edges], axis=0) for track in (measured, predicted)]
         duration = np.diff(times[edges])
         way = np.maximum(*(np.linalg.norm(step, axis=1) for step in steps))
-        # The object moves farther than 0.3 mm, and than a tenth of the push's fastest interval.
+        # The object moves by more than 0.3 mm and more than a tenth of the push's fastest interval.
         moving = (way > max(3e-4, 0.1 * way.max())) & (duration > 0)
         if not moving.any():
             continue
@@ -243,8 +243,8 @@ def force_residuals(
 def centroid_tracks(
     observation: Observation, predicted: FloatArray, grid: CellGrid
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (S + 1,) from the start on, and measured and predicted (x, y, ρ θ) of the cells' centroid, from
-    predicted poses (S, 3)."""
+    """Times (S + 1,), including the start, and the measured and predicted (x, y, ρ θ) of the cells' centroid,
+    given predicted poses (S, 3)."""
     assert observation.push.pose_times is not None
     scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
     start = observation.push.start_pose

@@ -1,4 +1,4 @@
-"""What an identification and a prediction report."""
+"""Results of an identification."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 @dataclass(frozen=True)
 class Quantity:
-    """One physical quantity, what the belief says of it, and whether these pushes show it."""
+    """One physical quantity, its value in the belief, and whether the pushes determine it."""
 
-    name: str  # for a person, such as `centre of mass, x`
+    name: str  # display name, such as `centre of mass, x`
     unit: str  # SI; `-` where it has none
     value: float  # median over the belief
     low: float  # lower end of the 90 % interval
     high: float  # upper end
-    shown: bool  # whether the data leave less than half of the width that the prior has, or it was weighed
+    shown: bool  # whether the data leave less than half of the prior's width, or it was known beforehand
     reason: str  # why, or why not
 
     def __str__(self) -> str:
@@ -38,14 +38,14 @@ class Identification:
 
     Attributes:
         belief: what was learnt.
-        pushes: as measured and as predicted, those that taught and those that judge.
-        quantities: what the pushes show, and what not.
-        seconds: that it took.
-        friction_laws: share of the belief by law of friction, the largest first; `plain` alone where no
-            other was tried, empty where none was chosen among.
-        share_of_known: where maps were known beforehand, the share that the pushes give the model with them
-            beside one with free maps; 0 where they speak against them.
-        without_effects: of `fit`, what the model without the effects learnt from the same pushes.
+        pushes: all pushes, fitted and held out, as measured and as predicted.
+        quantities: what the pushes determine, and what they leave open.
+        seconds: run time.
+        friction_laws: share of the belief by law of friction, the largest first; only `plain` where no other
+            was tried, empty for the method `paper`.
+        share_of_known: where maps were known beforehand, the weight of the model with these maps against one
+            with free maps; 0 where the pushes contradict them.
+        without_effects: for `fit`, what the model without the effects learnt from the same pushes.
     """
 
     belief: Belief
@@ -57,17 +57,17 @@ class Identification:
     without_effects: Identification | None = None
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
-        """Final ADD (m) of all pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
+        """Final ADD (m) of the pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])
 
     @property
     def judges(self) -> str:
-        """Role of the pushes that judge: `heldout`, or `fit` where none was held out."""
+        """Role of the pushes that judge: `heldout`, or `fit` where none were held out."""
         return "heldout" if any(push.role == "heldout" for push in self.pushes) else "fit"
 
     @property
     def with_and_without(self) -> Paired | None:
-        """Of `fit`: how the effects change the misfit of the pushes that judge."""
+        """For `fit`, how the effects change the misfit of the pushes that judge."""
         if self.without_effects is None:
             return None
         first, second = (
@@ -78,7 +78,7 @@ class Identification:
 
     @property
     def effect_estimates(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """By effect that was asked for and parameter: value (median), 90 % interval, unit, whether shown."""
+        """Value (median), 90 % interval, unit and whether shown, by requested effect and parameter."""
         facts = {quantity.name: quantity for quantity in self.quantities}
         return {
             effect.name: {

@@ -1,15 +1,15 @@
 """Tests whose unit of evidence is the push: sign flips of whole pushes, and Holm's correction.
 
-Residuals along a push are correlated, so samples are never counted. A test sums, for each push b, the scores
-g_b = Σ_i φ(x_i) y_i of residuals y_i on features φ of their conditions x_i. If nothing is wrong but chance,
-the residuals of a whole push could as well have had the other sign, whatever their correlation within the
-push. Hence the distribution of
+Residuals along a push are correlated, so samples are not independent evidence. A test sums, for each push b,
+the scores g_b = Σ_i φ(x_i) y_i of residuals y_i on features φ of their conditions x_i. If there is only
+chance, the residuals of a whole push could equally well have had the opposite sign, whatever their
+correlation within the push. Hence the distribution of
 
     max_j |Σ_b g_bj| / √(Σ_b g_bj²)
 
-under random signs of whole pushes gives its p-value, without any assumption on correlation or variance
-inside pushes (sign-flipping score test; Hemerik, Goeman and Finos, 2020). The maximum over coordinates j
-takes care of their number.
+under random signs of whole pushes gives its p-value, without any assumption about correlation or variance
+within pushes (sign-flipping score test; Hemerik, Goeman and Finos, 2020). The maximum over coordinates j
+accounts for their number.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _FLIPS = 9999
 _EXHAUSTIVE = 12
-"""With so few pushes all patterns of signs are tried."""
+"""Up to this many pushes, all patterns of signs are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +31,11 @@ class SignFlipTest:
     """Result of one test."""
 
     z: FloatArray  # (d,) standardised sum of each coordinate
-    p: float  # probability of so large a maximum by chance alone
+    p: float  # probability of a maximum as large by chance alone
 
     @property
     def strongest(self) -> int:
-        """Coordinate that deviates most."""
+        """Index of the coordinate that deviates most."""
         return int(np.argmax(np.abs(self.z)))
 
 
@@ -51,13 +51,13 @@ def sign_flip_test(scores: FloatArray, rng: np.random.Generator, flips: int = _F
     largest = np.abs(z).max()
     signs = all_signs(B) if B <= _EXHAUSTIVE else random_signs(flips, B, rng)
     beyond = int((np.abs(signs @ scores).max(axis=1) >= largest * (1 - 1e-9)).sum())
-    # All patterns hold the observed one; random ones need it added for the test to be exact.
+    # All patterns include the observed one; to random ones it has to be added for the test to be exact.
     p = beyond / len(signs) if B <= _EXHAUSTIVE else (1 + beyond) / (1 + len(signs))
     return SignFlipTest(z, float(p))
 
 
 def all_signs(count: int) -> FloatArray:
-    """(2^count, count) every pattern of signs."""
+    """(2^count, count) all patterns of signs."""
     bits = (np.arange(2**count)[:, None] >> np.arange(count)) & 1
     return np.where(bits == 1, -1.0, 1.0)
 
@@ -68,14 +68,14 @@ def random_signs(draws: int, count: int, rng: np.random.Generator) -> FloatArray
 
 
 def smallest_p(pushes: int) -> float:
-    """The smallest p-value that so many pushes can give: all signs equal, or all turned."""
+    """The smallest p-value that this many pushes can give: all signs equal, or all flipped."""
     if pushes == 0:
         return 1.0
     return 2.0 ** (1 - pushes) if pushes <= _EXHAUSTIVE else 1.0 / (_FLIPS + 1)
 
 
 def holm(p: FloatArray) -> FloatArray:
-    """(m,) p-values of m tests corrected so that 5 % is the chance of any false alarm (Holm, 1979)."""
+    """(m,) p-values of m tests, corrected so that 5 % bounds the rate of any false alarm (Holm, 1979)."""
     p = np.asarray(p, dtype=float)
     order = np.argsort(p)
     steps = p[order] * np.arange(len(p), 0, -1)
@@ -92,12 +92,12 @@ def push_sums(rows: FloatArray, push: NDArray[np.int64], count: int) -> FloatArr
 
 
 def beyond(scores: FloatArray, power: FloatArray, slope: float) -> FloatArray:
-    """Scores (B, d) less those of a pattern of a negligible size, so that only larger ones show in a test.
+    """Scores (B, d) minus those of a pattern of negligible size, so that a test finds only larger ones.
 
     Args:
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features.
-        slope: what is negligible. Coordinates whose own slope is smaller become 0.
+        slope: negligible slope. Coordinates with a smaller slope become 0.
     """
     total = scores.sum(axis=0)
     larger = np.abs(total) > slope * power.sum(axis=0)

@@ -1,12 +1,12 @@
-"""What many weighted hypotheses say together: the pose in their middle, an interval.
+"""Summaries of weighted hypotheses: a central pose, and an interval.
 
-Hypotheses can part ways, where a push goes to one side of balance or to the other. Their mean then lies where
-none of them is, and follows those that go farthest astray. What is judged is ADD, a distance, and the
-expected distance is least at the geometric median.
+Hypotheses can diverge where a push may go to either side of balance. Their mean then lies where none of them
+is, and follows those that go farthest astray. Predictions are judged by ADD, a distance, and the expected
+distance is smallest at the geometric median.
 
-Hypotheses are few, so that quantiles of them are too coarse. They are taken for draws from a normal
-distribution, with their weighted moments, and intervals are those for another draw: Student's, for as many
-draws as the weights p leave, 1 / Σ p². For several numbers together see `end_region`.
+Hypotheses are few, so their quantiles would be too coarse. They are treated as draws from a normal
+distribution with their weighted moments, and intervals are prediction intervals for another draw: Student's,
+with 1 / Σ p² effective draws for weights p. For several numbers together see `end_region`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> FloatArray:
     """Geometric median of planar poses, by the iteration of Weiszfeld (1937).
 
-    Distances are those of (x, y, ρ θ) at the cells' centroid, ρ being their radius of gyration: nearly ADD.
+    Distances are those of (x, y, ρ θ) at the cells' centroid, with their radius of gyration ρ: nearly ADD.
 
     Args:
-        poses: (K, …, 3) of the object frame, m and rad; angles of one place do not wrap.
+        poses: (K, …, 3) of the object frame, m and rad; angles to be averaged do not wrap.
         probability: (K,) sums to one.
         grid: cells of the object.
 
@@ -35,7 +35,8 @@ def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> 
     points = at_centroid(poses, grid) * scale
     weight = probability.reshape(-1, *[1] * (points.ndim - 1))
     middle = (weight * points).sum(axis=0)
-    # Nearer than the first, a hypothesis pulls ever less, m; after a step below the second all is said, m.
+    # Below the first distance a hypothesis pulls less and less, m; a step below the second ends the search,
+    # m.
     close, settled = 1e-4, 1e-6
     for _ in range(100):
         distance = np.linalg.norm(points - middle, axis=-1, keepdims=True)
@@ -59,9 +60,9 @@ def interval(
     Args:
         values: (K,).
         probability: (K,) weights.
-        level: share of cases in which the truth shall lie inside.
-        log: whether it is the logarithm that is normally distributed.
-        more: standard deviation of what comes on top of each draw.
+        level: share of cases in which the truth should lie inside.
+        log: whether the logarithm is normally distributed.
+        more: standard deviation of further errors of each draw.
     """
     x = np.log(np.maximum(values, 1e-300)) if log else values
     mean = float(probability @ x)

@@ -1,10 +1,11 @@
-"""One model of several datasets: objects with maps of their own, and effects of what they share.
+"""One model of several datasets: objects with separate maps, and effects of what they share.
 
-Coordinates are those of every object's maps, one after the other, then the effects': once where the datasets
-share what an effect belongs to (`Effect.belongs_to`), else once for each dataset. Normal equations are sums
-over the datasets, an arrow of blocks; they are small beside the rollouts, so that they are solved as one
-dense matrix and a fit takes time in proportion to its pushes. The likelihood is the forgiving one, each
-dataset with the α of largest evidence: it does not let a push near balance decide over all others.
+The coordinates are those of every object's maps, one after the other, then those of the effects: once where
+the datasets share the effect's owner (`Effect.belongs_to`), otherwise once for each dataset. The normal
+equations are sums over the datasets with a block arrow structure; they are small compared with the rollouts,
+so they are solved as one dense matrix, and the time of a fit is proportional to its pushes. The likelihood is
+the forgiving one, with the α of largest evidence for each dataset, so that a push near balance does not
+outweigh all others.
 """
 
 from __future__ import annotations
@@ -37,22 +38,22 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
 _EXACT = 1e-3
-"""Share of its scale by which a parameter may be off that is held."""
+"""Standard deviation of a held parameter, as a share of its scale."""
 
 _SCREENED = 20
-"""Pushes of a dataset that are enough to see which effects are worth refitting."""
+"""Most pushes of a dataset used to find the effects that are worth refitting."""
 
 _START_STEPS = 3
 
 _BLIND = 1e3
-"""Standard deviation, in scales, of a parameter of which a dataset says nothing."""
+"""Standard deviation, in scales, of a parameter that a dataset does not determine."""
 
 
 def is_shared(effect: Effect, apart: Collection[str]) -> bool:
-    """Whether several datasets have one set of an effect's parameters.
+    """Whether several datasets share an effect's parameters.
 
     Args:
-        effect: which.
+        effect: the effect.
         apart: owners of effects (`Effect.belongs_to`) that the datasets do not share.
     """
     return effect.belongs_to != "object" and effect.belongs_to not in apart
@@ -60,7 +61,7 @@ def is_shared(effect: Effect, apart: Collection[str]) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Taught:
-    """What one dataset brings: its open pushes, and the fit of the model without effects to them."""
+    """The open pushes of one dataset, and the fit of the model without effects to them."""
 
     dataset: PushDataset
     observations: Sequence[Observation]  # its open pushes
@@ -79,7 +80,7 @@ class Taught:
         return cls(dataset, observations, likelihood.settings, best)
 
     def few(self, most: int) -> Taught:
-        """The same with no more pushes than so many, spread evenly."""
+        """The same with at most this many pushes, spread evenly."""
         count = len(self.observations)
         kept = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
         base = replace(self.base, offsets=self.base.offsets[:, kept])
@@ -87,18 +88,18 @@ class Taught:
 
     @property
     def weight(self) -> float:
-        """N, as first fitted."""
+        """Weight of the object in the first fit, N."""
         return float(self.prior.maps(self.base.z).mass.sum()) * self.dataset.gravity
 
     def likelihood(self, effects: Sequence[Effect], weight: float) -> Likelihood:
-        """Of the model with some effects; the weight sets the scale of effects that are forces."""
+        """Likelihood of the model with some effects; the weight sets the scale of effects that are forces."""
         prior = _prior(self.dataset, effects, weight)
         return Likelihood(prior, self.observations, self.dataset.noise, self.settings)
 
     def holding(
         self, effects: Sequence[Effect], values: FloatArray, free: NDArray[np.bool_], progress: StageProgress
     ) -> tuple[MapPrior, FloatArray]:
-        """Maps fitted with parameters (P,) of effects held, but for those that are free: the prior, and the
+        """Maps fitted with the effects' parameters (P,) held, except the free ones: the prior, and the
         coordinates (d,) in it."""
         scales = _prior(self.dataset, effects, self.weight).effect_scales
         spread = np.where(free, scales, _EXACT * scales)
@@ -108,8 +109,8 @@ class Taught:
         return prior, fit(likelihood, start[None], offsets=self.base.offsets, progress=progress).z[0]
 
     def costs(self, observations: Sequence[Observation], prior: MapPrior, z: FloatArray) -> FloatArray:
-        """(B,) costs of other pushes at coordinates z (d,), nats; starts are free within what the tracker
-        sees, so that a push near balance does not count for more than it can tell."""
+        """(B,) costs of other pushes at coordinates z (d,), nats; starts are free within tracker noise, so
+        that a push near balance is not overrated."""
         likelihood = Likelihood(prior, observations, self.dataset.noise, self.settings)
         offsets, weights = np.zeros((1, len(observations), 3)), np.ones((1, len(observations)))
         best = np.full(len(observations), np.inf)
@@ -122,7 +123,7 @@ class Taught:
 
     @property
     def prior(self) -> MapPrior:
-        """Of the model without effects."""
+        """Prior of the model without effects."""
         return _prior(self.dataset, (), None)
 
 
@@ -132,29 +133,29 @@ def _prior(
     weight: float | None,
     effect_prior: tuple[FloatArray, FloatArray] | None = None,
 ) -> MapPrior:
-    settings = next(iter(structures_of(dataset).values()))  # the one that `identify` asks first
+    settings = next(iter(structures_of(dataset).values()))  # the one that `identify` tries first
     return MapPrior(
         slider_for(dataset, effects), settings, dataset.mass, weight, effect_prior, known=dataset.known
     )  # fmt: skip
 
 
 class JointPrior(EffectCoordinates):
-    """Coordinates of several datasets' maps and of effects.
+    """Joint coordinates of several datasets' maps and of effects.
 
     Args:
-        priors: of each dataset, with the same effects in the same scales.
-        effects: these.
-        apart: as of `is_shared`.
+        priors: of each dataset, with the same effects at the same scales.
+        effects: the effects.
+        apart: as for `is_shared`.
 
     Attributes:
-        places: (d_k,) where the coordinates of each dataset's prior stand.
+        places: (d_k,) indices of each dataset's own coordinates among the joint ones.
     """
 
     def __init__(self, priors: Sequence[MapPrior], effects: Sequence[Effect], apart: Collection[str]) -> None:
         begins = np.cumsum([0, *(prior.plain for prior in priors)])
         self.plain = int(begins[-1])
         places = [[np.arange(begin, end)] for begin, end in pairwise(begins)]
-        columns = [np.zeros(0, dtype=np.int64)]  # which parameters of a dataset's prior stand here
+        columns = [np.zeros(0, dtype=np.int64)]  # index of each parameter in a dataset's prior
         at, size = 0, self.plain
         for effect in effects:
             own = at + np.arange(len(effect.parameters))
@@ -172,11 +173,11 @@ class JointPrior(EffectCoordinates):
 
 
 class JointLikelihood:
-    """Costs of the pushes of several datasets, as `PushLikelihood` has them for one.
+    """Costs of the pushes of several datasets, like `PushLikelihood` for one.
 
     Args:
-        prior: their coordinates.
-        parts: likelihood of each.
+        prior: joint coordinates.
+        parts: likelihood of each dataset.
     """
 
     def __init__(self, prior: JointPrior, parts: Sequence[PushCosts]) -> None:
@@ -206,10 +207,10 @@ class JointLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class FirstGain:
-    """What an effect would gain to first order, from the best of its starts."""
+    """Gain of an effect to first order, from the best of its starts."""
 
     effect: Effect
-    gain: float  # fall of the cost, nats
+    gain: float  # drop in cost, nats
     start: FloatArray  # (P,) parameters, the amplitudes at their nulls
 
 
@@ -224,17 +225,17 @@ class Together:
     def __init__(self, taught: Sequence[Taught], apart: Collection[str] = ()) -> None:
         self.taught = list(taught)
         self.apart = frozenset(apart)
-        # Effects that are forces have one scale for all.
+        # Effects that are forces have one scale for all datasets.
         self.weight = float(np.exp(np.mean(np.log([one.weight for one in taught]))))
         self.base_cost = sum(float(one.base.cost[0]) for one in taught)
         self._offsets = np.concatenate([one.base.offsets for one in taught], axis=1)
 
     def is_shared(self, effect: Effect) -> bool:
-        """Whether the datasets have one set of the effect's parameters."""
+        """Whether the datasets share the effect's parameters."""
         return is_shared(effect, self.apart)
 
     def scene(self) -> Scene:
-        """What effects have to know to begin their search."""
+        """The scene from which effects derive their starting values."""
         observations = [o for one in self.taught for o in one.observations]
         poses = np.concatenate([o.poses for o in observations])[:, :2]
         center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
@@ -250,8 +251,8 @@ class Together:
         )
 
     def first_gains(self, effects: Sequence[Effect], progress: StageProgress) -> list[FirstGain]:
-        """What each effect would gain with all maps refitted, to first order and from at most `_SCREENED`
-        pushes of each dataset; the largest first."""
+        """Gain of each effect with all maps refitted, to first order, from at most `_SCREENED` pushes per
+        dataset; the largest first."""
         scene = self.scene()
         starts = [effect.start_values(scene) for effect in effects]
         at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
@@ -315,7 +316,7 @@ class JointFit:
 
     @property
     def cost(self) -> float:
-        """That was reached, nats."""
+        """Cost of the fit, nats."""
         return float(self.found.cost[0])
 
     @property
@@ -325,19 +326,19 @@ class JointFit:
         return 0.5 * float(np.linalg.slogdet(self.found.hessian[0] + np.eye(size))[1])
 
     def values(self, k: int) -> FloatArray:
-        """(P,) parameters of the effects as dataset k has them."""
+        """(P,) parameters of the effects in dataset k."""
         prior = self.likelihood.parts[k].prior  # type: ignore[attr-defined]
         return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0]
 
     def deviations(self, k: int) -> FloatArray:
-        """(P,) standard deviations of them, everything else being refitted."""
+        """(P,) their standard deviations, marginal over everything else."""
         joint = self.likelihood.prior
         own = joint.places[k][joint.places[k] >= joint.plain] - joint.plain
         return joint.effect_deviations(self.found.hessian[0])[own]
 
     def alone(self, k: int) -> tuple[FloatArray, FloatArray]:
-        """Parameters (P,) as dataset k by itself would have them, to first order, and their standard
-        deviations; without a prior of the effects. Those that only shape an effect are held."""
+        """Parameters (P,) from dataset k alone, to first order and without a prior of the effects, and their
+        standard deviations. Parameters that only shape an effect are held."""
         part, place = self.likelihood.parts[k], self.likelihood.prior.places[k]
         prior: MapPrior = part.prior  # type: ignore[attr-defined]
         z, pushes = self.found.z[:, place], self.likelihood.pushes[k]
@@ -367,5 +368,5 @@ def _eliminated(
 
 
 def _fall(normal: FloatArray, slope: FloatArray) -> float:
-    """By how much the best step from zero lowers the cost, the prior included."""
+    """Drop in cost, prior included, by the best step from zero."""
     return 0.5 * float(slope @ np.linalg.solve(normal + np.eye(len(slope)), slope))

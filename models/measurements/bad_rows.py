@@ -1,7 +1,7 @@
-"""Rows of a tracker that cannot be true: exactly zero where the object is elsewhere, as receivers publish for
-what they do not see, and jumps or flips from which the next rows come back.
+"""Tracker rows that cannot be true: exact zeros while the object is elsewhere, as receivers publish for what
+they do not see, and jumps or flips that the next rows undo.
 
-A single pose turned by half a turn would otherwise turn every later row by a whole one when angles are
+Otherwise a single pose flipped by half a turn would shift every later row by a whole turn when angles are
 unwrapped.
 """
 
@@ -15,25 +15,25 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _JUMP = 0.01  # m
 _TURN = 0.5  # rad
-_FASTER = 3.0  # than nearly all other steps of the record
-_MOST_ROWS = 5  # that a jump lasts, or
-_MOST_SHARE = 0.1  # of the rows
-_END_ROWS = 2  # of a jump at an end of the record, from which nothing comes back
-_END_FACTOR = 3.0  # which must be larger
-_BLIND = 0.2  # s without a row, after which it may be anywhere
-_FEWEST_ROWS = 6  # fewer tell nothing about each other
+_FASTER = 3.0  # times nearly all other steps of the record
+_MOST_ROWS = 5  # longest jump, in rows, or
+_MOST_SHARE = 0.1  # as a share of the rows
+_END_ROWS = 2  # longest jump at an end of the record, where nothing comes back
+_END_FACTOR = 3.0  # such a jump must be larger by this factor
+_BLIND = 0.2  # s without a row, after which the object may be anywhere
+_FEWEST_ROWS = 6  # fewer rows cannot be judged
 
 
 def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_], dict[str, list[int]], str]:
-    """Which rows can be true.
+    """Find the rows that can be true.
 
     Args:
         time: (T,) increasing, s.
-        values: (T, 2) positions, m, or (T, 3) with an angle as it was recorded, rad.
+        values: (T, 2) positions, m, or (T, 3) with an angle as recorded, rad.
 
     Returns:
-        (T,) whether a row is kept; what is wrong with the others, with their numbers; and a complaint about
-        jumps that stay, empty where there are none.
+        (T,) whether a row is kept; the faults of the other rows, with their row numbers; and a complaint
+        about jumps that stay, empty if there are none.
     """
     kept = np.ones(len(time), dtype=bool)
     found: dict[str, list[int]] = {}
@@ -55,7 +55,7 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
 
 
 def _zero_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
-    """Rows of zeros whose neighbours on every side lie elsewhere."""
+    """Runs of zero rows whose neighbours on both sides lie elsewhere."""
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if not 0 < len(zero) < len(values) - 1:
         return
@@ -70,19 +70,19 @@ def _zero_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
 
 
 def _sudden(step: FloatArray, next_: FloatArray) -> bool:
-    """Whether a step is large beside the next one; that of an object that was struck is not."""
+    """Whether a step is large compared with the next one, unlike that of an object that was struck."""
     return bool(((step > 1.0) & (step > _FASTER * next_)).any())
 
 
 def _step(values: FloatArray, one: int, other: int) -> FloatArray:
-    """(2,) from one row to another; 0 beyond the ends."""
+    """(2,) distance between two rows; 0 beyond the ends."""
     if min(one, other) < 0 or max(one, other) >= len(values):
         return np.zeros(2)
     return _apart(values[one], values[other])
 
 
 def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(…, 2) how far two rows are apart: of their places in 10 mm, of their angles in 0.5 rad."""
+    """(…, 2) distance between two rows: of their positions in units of 10 mm, of their angles in 0.5 rad."""
     place = np.hypot(*np.moveaxis(one[..., :2] - other[..., :2], -1, 0)) / _JUMP
     turn = np.abs(angle_between(one[..., 2], other[..., 2])) / _TURN if one.shape[-1] > 2 else 0.0 * place
     return np.stack([place, turn], axis=-1)
@@ -108,7 +108,7 @@ def _jumps(
         for last in steps[place + 1 :].tolist():
             if last - first > longest:
                 break
-            # Meanwhile the object may have gone on as it does elsewhere.
+            # Meanwhile the object may have moved on at its usual speed.
             allowed = np.maximum(1.0, _FASTER * usual * (time[last + 1] - time[first])) / 2.0
             if (_apart(values[last + 1], values[first]) < allowed).all():
                 jumps.append((np.arange(first + 1, last + 1), _words(step[first], "and comes back")))
@@ -118,15 +118,15 @@ def _jumps(
             last = first
         if done >= first:
             continue
-        # Where nothing comes back, one or two rows at an end are taken for what is wrong.
+        # Where nothing comes back, one or two rows at an end are considered the wrong ones.
         beside = np.maximum(_step(values, first - 1, first), _step(values, first + 1, first + 2))
         if not _sudden(step[first], beside):
             continue
         huge = bool((step[first] > _END_FACTOR).any())
         if first < _END_ROWS and huge:
-            jumps.append((np.arange(first + 1), _words(step[first], "to what follows")))
+            jumps.append((np.arange(first + 1), _words(step[first], "relative to the next row")))
         elif first >= len(time) - 1 - _END_ROWS and huge:
-            jumps.append((np.arange(first + 1, len(time)), _words(step[first], "from what came before")))
+            jumps.append((np.arange(first + 1, len(time)), _words(step[first], "relative to the row before")))
             break
         else:
             stays.append((first, _words(step[first], "").strip()))

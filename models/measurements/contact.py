@@ -1,5 +1,5 @@
-"""Does the finger touch the object where the record says? Depth of its rim in the outline over whole pushes,
-what explains it in all of them, and the angle of the force to the contact's normal."""
+"""Whether recorded finger and object fit together: depth of the finger's rim in the outline over whole
+pushes, its common cause, and the angle of the force to the contact normal."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,34 +13,34 @@ from slipmap.models.geometry import angle_between, compose, rotated, seen_from
 from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
-CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
+CALIBRATION_ERROR = 3e-3  # m; good laboratories reach 2 mm
 
 _MOST_ROWS = 500  # of a trial
-_NEAR = 1e-3  # m of air within which a row is one of contact
-_DEEPEST_SHARE = 0.05  # of those rows, which jitter may spoil
+_NEAR = 1e-3  # m of air up to which a row counts as contact
+_DEEPEST_SHARE = 0.05  # of those rows may be spoilt by jitter
 _WINDOW = 0.1  # s over which speeds are taken
-_MOVING = 0.3  # of the speed that the object hardly exceeds
+_MOVING = 0.3  # share of the 90th percentile of the object's speed
 _SLOWEST = 2e-3  # m/s
-_GAP_ROWS = 3.0  # usual steps without a pose, across which nothing is said
-_LARGEST_KINK = 1e-3  # m by which the object may be off a straight line between two poses, and noise
+_GAP_ROWS = 3.0  # usual steps without a pose, beyond which rows in the gap are skipped
+_LARGEST_KINK = 1e-3  # m that the object may be off a straight line between two poses, besides noise
 
-# Of what may be common to all pushes.
-_MOST_TRIALS, _ROWS_EACH = 40, 25  # that are looked at
-_LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m that count
+# Common cause of all pushes.
+_MOST_TRIALS, _ROWS_EACH = 40, 25  # most trials used, and rows of each
+_LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m; larger values are clipped
 _LARGEST_LAG = 0.15  # s
-_MOST_OF_RADIUS = 0.8  # by which a finger can be thinner than was said
-_GAIN, _GAIN_UNSIZED = 0.6, 0.75  # of the misfit may be left; without a size that is fitted
+_MOST_OF_RADIUS = 0.8  # largest share of the stated radius by which a finger can be thinner
+_GAIN, _GAIN_UNSIZED = 0.6, 0.75  # share of the misfit that may be left, with and without a fitted size
 _LEAST_GAIN = 5e-4  # m
-_AS_GOOD = 1.2  # times the least misfit, for a simpler cause
+_AS_GOOD = 1.2  # times the least misfit, accepted for a simpler cause
 
 _OFF_NORMAL = np.pi / 3.0  # beyond any friction of a finger
 _FEWEST_FORCES = 10  # rows
-_SOME_WRONG = 0.2  # of the rows beyond that, where something makes
-_WOULD_FIT = 0.85  # of the rows fit; of half of them it is said anyway
+_SOME_WRONG = 0.2  # share of rows beyond that angle, if some other frame makes
+_WOULD_FIT = 0.85  # of the rows fit; beyond half of the rows it is reported anyway
 
 
 def gaps(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
-    """(k,) air between the finger, at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
+    """(k,) gap between the finger at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
     return signed_distance(setup, tips, poses) - setup.finger_radius
 
 
@@ -53,15 +53,15 @@ def signed_distance(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatA
 
 @dataclass(frozen=True, eq=False)
 class ContactRows:
-    """A trial at times at which finger and object are known.
+    """A trial at times for which both finger and object are known.
 
     Attributes:
         trial: the push.
         time: (k,) s.
         tips: (k, 2) finger, m.
         poses: (k, 3) object.
-        pressed: (k,) whether the object moves, so that the finger has to touch it, unless it coasts.
-        gap: (k,) air between them, m.
+        pressed: (k,) whether the object moves, so that the finger must touch it unless it coasts.
+        gap: (k,) gap between them, m, negative inside.
     """
 
     trial: Trial
@@ -73,13 +73,13 @@ class ContactRows:
 
     @property
     def deepest(self) -> float:
-        """Greatest depth of the rim, m; negative where there is air."""
+        """Greatest depth of the rim, m; negative if there is a gap."""
         return -float(np.min(self.gap))
 
     @property
     def depth(self) -> float:
-        """Depth which one row in twenty of those in contact exceeds, m."""
-        if self.trial.ends_only:  # after its last row the finger may have gone on, or back
+        """Depth that one in twenty rows of contact exceeds, m."""
+        if self.trial.ends_only:  # after its last row the finger may have moved on or back
             return max(-float(self.gap[0]), -float(self.gap[-1]) - CALIBRATION_ERROR)
         near = np.sort(self.gap[self.gap < _NEAR])
         if len(near) < 3:
@@ -94,9 +94,9 @@ class ContactRows:
 
 
 def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
-    """The finger's rows with the poses between which they lie; None without a finger.
+    """The finger's rows with poses interpolated at their times; None without a finger.
 
-    Where only the ends are known, these two.
+    Where only the ends are known, these two rows.
     """
     if not trial.has_finger:
         return None
@@ -116,7 +116,7 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         noise = setup.noise.position or 0.0
         time = time[known & (_kinks(setup, pose, time, after) <= _LARGEST_KINK + 3.0 * noise)]
     tips, poses = tip.at(time), pose.at(time)
-    if trial.ends_only:  # of what moved, the finger mostly stops where it pushed it to
+    if trial.ends_only:  # the finger mostly stops where it pushed the object to
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
         pressed = _moving(setup, trial, time)
@@ -157,17 +157,17 @@ def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
     )
 
 
-# What is common to all pushes.
+# The common cause of all pushes.
 
 _SIZED = ("lag", "radius", "tip_offset", "tracker_offset")
 
 
 class Cause(NamedTuple):
-    """What would make the finger touch the object in all pushes."""
+    """A correction that would make the finger touch the object in all pushes."""
 
-    text: str  # a question for whom it concerns
+    text: str  # a question to the user
     kind: str  # sign, turn, lag, radius, tip_offset or tracker_offset
-    applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps with it
+    applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps after correction
 
 
 def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
@@ -175,9 +175,9 @@ def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
 
 
 def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Cause | None:
-    """The simplest of the known causes that makes most of depth and air disappear in all pushes, or None.
+    """The simplest known cause that removes most of the depth and air in all pushes, or None.
 
-    Where the finger is deep in one push alone, only causes without a size count: others fit anything.
+    If the finger is deep in only one push, only causes without a fitted size count; others fit anything.
     """
     places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
     thinned = [_thinned(pushes[place]) for place in places]
@@ -197,7 +197,7 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
 
 
 def _thinned(rows: ContactRows) -> ContactRows:
-    """Rows that say something: of contact, or of motion with the finger near."""
+    """Informative rows: contact, or motion with the finger near."""
     telling = np.flatnonzero((rows.gap < 0.0) | (rows.pressed & (rows.gap < 2.0 * _LARGEST_GAP)))
     if len(telling) > _ROWS_EACH:
         telling = telling[np.unique(np.linspace(0, len(telling) - 1, _ROWS_EACH).astype(int))]
@@ -211,22 +211,22 @@ def _residual(rows: ContactRows, gap: FloatArray) -> FloatArray:
 def _misfit(
     setup: Setup, pushes: Sequence[ContactRows], applied: Callable[[Setup, ContactRows], FloatArray]
 ) -> float:
-    """Mean over pushes of the rms of depth and air, m; one push counts no more than 20 mm."""
+    """Mean over pushes of the rms of depth and air, m, with at most 20 mm per push."""
     each = [np.sqrt(np.mean(_residual(rows, applied(setup, rows)) ** 2)) for rows in pushes]
     return float(np.mean(np.minimum(each, 0.02)))
 
 
 def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
-    """Each with its best size, the simplest first."""
+    """All causes, each with its best size, the simplest first."""
 
     def posed(change: Callable[[FloatArray], FloatArray]) -> Callable[[Setup, ContactRows], FloatArray]:
         return lambda setup, rows: gaps(setup, rows.tips, change(rows.poses))
 
     yield Cause("is theta's sign right?", "sign", posed(lambda poses: poses * [1.0, 1.0, -1.0]))
-    for angle in (90, -90, 180):  # that is taken off
+    for angle in (90, -90, 180):  # correction of theta
         turn = np.array([0.0, 0.0, np.radians(angle)])
         yield Cause(
-            f"is theta, or the outline, turned by {-angle if abs(angle) == 90 else 180}°?",
+            f"is theta, or the outline, rotated by {-angle if abs(angle) == 90 else 180}°?",
             "turn",
             posed(turn.__add__),
         )
@@ -236,22 +236,22 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
         if less < _MOST_OF_RADIUS * setup.finger_radius:
             yield Cause(
                 f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
-                f" {1e3 * setup.finger_radius:.1f} mm, or the outline too large?",
+                f" {1e3 * setup.finger_radius:.1f} mm, or is the outline too large?",
                 "radius",
                 lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
             )
     shift = _fitted(setup, pushes, 2, _shifted_tip)
     yield Cause(
-        f"tip_offset {_millimetres(shift)} mm, which the effect tracker_shift explains: is it the finger's"
-        " point, not the flange's or the tool's, that was recorded?",
+        f"tip_offset {_millimetres(shift)} mm, which the effect tracker_shift explains; was the fingertip"
+        " recorded, not the flange or the tool?",
         "tip_offset",
         lambda setup, rows: _shifted_tip(setup, rows, shift),
     )
     offset = _fitted(setup, pushes, 3, _offset_frame)
     turned = round(float(np.degrees(offset[2])), 1) + 0.0
     yield Cause(
-        f"the tracked frame sits at {_millimetres(offset[:2])} mm in the object's, turned by {turned:.1f}°,"
-        " which the effect tracker_offset explains: is the outline given in the tracked frame?",
+        f"the tracked frame lies at {_millimetres(offset[:2])} mm in the object frame, rotated by"
+        f" {turned:.1f}°, which the effect tracker_offset explains; is the outline in the tracked frame?",
         "tracker_offset",
         lambda setup, rows: _offset_frame(setup, rows, offset),
     )
@@ -287,7 +287,7 @@ def _shifted_tip(setup: Setup, rows: ContactRows, shift: FloatArray) -> FloatArr
 
 
 def _offset_frame(setup: Setup, rows: ContactRows, offset: FloatArray) -> FloatArray:
-    """Gaps where the tracked frame sits at `offset` (3,) in the object's."""
+    """Gaps if the tracked frame lies at `offset` (3,) in the object frame."""
     back = np.append(rotated(-offset[:2], -offset[2]), -offset[2])
     return gaps(setup, rows.tips, compose(rows.poses, back))
 
@@ -298,7 +298,7 @@ def _fitted(
     count: int,
     applied: Callable[[Setup, ContactRows, FloatArray], FloatArray],
 ) -> FloatArray:
-    """Parameters (count,) of least misfit, in which pushes and rows that stand alone count little."""
+    """Parameters (count,) of least misfit, robust to single pushes and rows."""
     from scipy.optimize import least_squares
 
     scale = np.array([1e-3, 1e-3, 1e-2])[:count]
@@ -315,7 +315,7 @@ def _fitted(
 
 
 def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
-    """What is wrong with the direction of the force on most rows, or None."""
+    """Message if the direction of the force is wrong on most rows, otherwise None."""
     normal, force, theta = normals_and_forces(setup, pushes)
     if len(normal) < _FEWEST_FORCES:
         return None
@@ -331,38 +331,39 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
     if best is None and wrong < 0.5:
         return None
     said = (
-        f"the force points {np.degrees(np.median(np.abs(off))):.0f}° off the contact's normal in the median,"
-        f" and more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
+        f"the force points a median of {np.degrees(np.median(np.abs(off))):.0f}° off the contact normal, and"
+        f" more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
     )
     if best is None:
         return (
-            f"{said}no turn or mirroring mends it; ft_wrench is the force of the finger on the object in the"
-            " world frame, is it in the sensor's or the tool's?"
+            f"{said}no rotation or reflection corrects it. ft_wrench must be the force of the finger on the"
+            " object in the world frame; is it in the sensor's or the tool's?"
         )
     return (
-        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench is the force of the finger on the object in"
-        " the world frame"
+        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench must be the force of the finger on the object"
+        " in the world frame"
     )
 
 
 def _other_frames(
     force: FloatArray, normal: FloatArray, theta: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
-    """What may have been done to forces, the likeliest first, and their directions without it, rad."""
-    yield "with its sign turned, as the force of the object on the finger is,", force + np.pi
+    """Likely frame and sign errors, the likeliest first, and the directions of the force without them,
+    rad."""
+    yield "with its sign reversed, as if it were the force of the object on the finger,", force + np.pi
     turn = -middle_angle(angle_between(force, normal))
     degrees = 15.0 * round(float(np.degrees(angle_between(turn, 0.0))) / 15.0)
-    yield f"turned by about {degrees:.0f}°, as from the sensor's or the tool's frame,", force + turn
+    yield f"rotated by about {degrees:.0f}°, as if from the sensor's or the tool's frame,", force + turn
     for words, sum_ in (
         ("fx negated", np.pi), ("fy negated", 0.0), ("fx and fy swapped", 0.5 * np.pi),
         ("fx and fy swapped and negated", -0.5 * np.pi),
     ):  # fmt: skip
         yield f"with {words}", sum_ - force
-    yield "turned by theta, as from the object's frame,", force + theta
+    yield "rotated by theta, as if from the object frame,", force + theta
 
 
 def middle_angle(angles: FloatArray) -> float:
-    """The angle that most of them are near: the mean of those within 60° of the fullest direction, rad."""
+    """The dominant angle: the mean of those within 60° of the densest direction, rad."""
     centers = np.radians(np.arange(-180, 180, 5))
     near = np.abs(angle_between(angles[:, None], centers)) < _OFF_NORMAL
     center = centers[np.argmax(near.sum(axis=0))]
@@ -373,7 +374,8 @@ def middle_angle(angles: FloatArray) -> float:
 def normals_and_forces(
     setup: Setup, pushes: Sequence[ContactRows]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions of inward normal, force and object in the world while the finger presses, (k,) rad each."""
+    """Directions of inward normal, force and object in the world frame while the finger presses, (k,) rad
+    each."""
     each = [_normals_and_forces(setup, rows) for rows in pushes]
     normal, force, theta = (np.concatenate([one[k] for one in each] or [np.zeros(0)]) for k in range(3))
     return normal, force, theta
@@ -390,7 +392,7 @@ def _normals_and_forces(setup: Setup, rows: ContactRows) -> tuple[FloatArray, Fl
     enough = max(0.3 * float(size.max(initial=0.0)), 3.0 * (setup.noise.force or 0.0))
     distance = rows.gap + setup.finger_radius
     used = inside & rows.pressed & (size > enough) & (np.abs(rows.gap) < 2.0 * CALIBRATION_ERROR)
-    used &= np.abs(distance) > 1e-3  # else the direction to the rim says little
+    used &= np.abs(distance) > 1e-3  # closer to the rim, its direction is uncertain
     if not used.any():
         return empty
     points = seen_from(rows.tips[used], rows.poses[used])

@@ -1,4 +1,4 @@
-"""Pushes as CSV: one file a push, a header line of named columns, empty cells where a sensor has no row."""
+"""Pushes as CSV: one file per push, a header line of column names, empty cells where a sensor has no row."""
 
 import csv
 import io
@@ -33,10 +33,10 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "force_y": FORCES,
     "force_tau": TORQUES,
 }
-"""Our names, and how much of the SI unit each unit is that a column may have."""
+"""Our column names, and the factors from the units that a column may have to SI."""
 
 PUSH_COLUMN = "push_id"
-"""Parts a file into its pushes where it is there."""
+"""Optional column that divides a file into its pushes."""
 
 _OPTIONAL = CHANNELS["ft_wrench"]
 _FORCE, _TORQUE = _OPTIONAL[:2], _OPTIONAL[2]
@@ -46,17 +46,17 @@ _REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 class CsvColumns(NamedTuple):
     """Columns of CSV files."""
 
-    names: Mapping[str, str]  # our name to that in the files
-    # our name to what its numbers have to be multiplied by to be s, m, rad, N or N·m
+    names: Mapping[str, str]  # from our name to the name in the files
+    # from our name to the factor that converts its numbers to s, m, rad, N or N·m
     factors: Mapping[str, float]
 
     @property
     def expected(self) -> str:
-        """Which columns there have to be, for error texts."""
+        """The expected columns, for error messages."""
         required, optional = (
             ", ".join(self.names[name] for name in group) for group in (_REQUIRED, _OPTIONAL)
         )
-        return f"expected are {required} and, where force was measured, {optional}"
+        return f"expected columns are {required} and, if force was measured, {optional}"
 
 
 STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _UNITS})
@@ -64,14 +64,15 @@ STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _U
 
 
 def parse_columns(value: object, where: str) -> CsvColumns:
-    """Columns of the key `csv`: by our name that of the files, or `{column: ..., unit: ...}`.
+    """Columns from the key `csv`, which maps our names to those in the files, or to `{column: ..., unit:
+    ...}`.
 
     Args:
-        value: as parsed; None for the standard.
-        where: the file and key, for error texts.
+        value: as parsed; None for the standard names.
+        where: the file and key, for error messages.
 
     Raises:
-        DatasetError: a name or unit that is not known, or one column for two things.
+        DatasetError: an unknown name or unit, or one column for two quantities.
     """
     if value is None:
         return STANDARD
@@ -79,11 +80,11 @@ def parse_columns(value: object, where: str) -> CsvColumns:
     for name, entry in parsing.mapping(value, where).items():
         place = f"{where}.{name}"
         if name not in _UNITS:
-            raise DatasetError(f"{place}: there is no such quantity; there are {', '.join(_UNITS)}")
+            raise DatasetError(f"{place}: unknown quantity; choose from {', '.join(_UNITS)}")
         told = {"column": entry} if isinstance(entry, str) else parsing.mapping(entry, place)
         for key in told:
             if key not in ("column", "unit"):
-                raise DatasetError(f"{place}: {parsing.shown(key)} is unknown; there are column and unit")
+                raise DatasetError(f"{place}: unknown key {parsing.shown(key)}; the keys are column and unit")
         names[name] = parsing.text(told.get("column", name), f"{place}.column")
         unit = told.get("unit", next(iter(_UNITS[name])))
         if not isinstance(unit, str) or unit not in _UNITS[name]:
@@ -95,7 +96,7 @@ def parse_columns(value: object, where: str) -> CsvColumns:
         others = [other for other, same in names.items() if same == column and other != name]
         if others:
             raise DatasetError(
-                f"{where}: the column {parsing.shown(column)} cannot be {name} and {others[0]}"
+                f"{where}: the column {parsing.shown(column)} cannot be both {name} and {others[0]}"
             )
     return CsvColumns(names, factors)
 
@@ -103,15 +104,15 @@ def parse_columns(value: object, where: str) -> CsvColumns:
 def read_csv_trials(
     name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
 ) -> tuple[list[Trial], list[str]]:
-    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says else; the force is that on the
-    object.
+    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says otherwise; the force is that on
+    the object.
 
-    Channels share the column t and need not share rates: a channel has a row where its cells are filled.
-    Where there is a column push_id, each of its values is a push, called after the file and it, in the order
-    in which they come first. The torque counts as 0 where the file has none.
+    Channels share the column t but need not share rates: a channel has a row where its cells are filled. If
+    there is a column push_id, each of its values is a push, named after the file and the value, in order of
+    first appearance. The torque is 0 where the file has none.
 
     Raises:
-        DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
+        DatasetError: missing columns, cells that are not numbers, and what `trial_from_tables` refuses. Rows
             count from 0 below the header.
     """
     table = _table(content, where, columns)
@@ -134,7 +135,7 @@ def read_csv_trials(
 
 
 class _Table(NamedTuple):
-    """A file's numbers by our names, the rows of each push, and the names of columns nobody asked for."""
+    """A file's numbers by our names, the rows of each push, and the names of unknown columns."""
 
     values: Mapping[str, FloatArray]
     pushes: Mapping[str, NDArray[np.int_]]
@@ -184,7 +185,9 @@ def _table(content: bytes, where: str, columns: CsvColumns) -> _Table:
         if not cells:
             continue
         if len(cells) != len(header):
-            raise DatasetError(f"{where}, row {row}: has {len(cells)} cells, the header {len(header)}")
+            raise DatasetError(
+                f"{where}, row {row}: has {len(cells)} cells, but the header has {len(header)}"
+            )
         push = "" if push_place is None else parsing.push_label(cells[push_place])
         if push_place is not None and not push:
             raise DatasetError(
@@ -214,34 +217,34 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
         return
     if header[:1] == ["Format Version"] or "Take Name" in header:
         raise DatasetError(
-            f"{where}: this is an export of OptiTrack Motive, with several lines of header, quaternions and"
-            " often mm and Y up (then theta is the turn about Y, and y on the table is -Z). Write a table"
-            f" with one line of header: {columns.expected}"
+            f"{where}: this is an OptiTrack Motive export, with several header lines, quaternions and often"
+            " mm and Y up (then theta is the rotation about Y, and y on the table is -Z). Write a table with"
+            f" one header line: {columns.expected}"
         )
     if len(header) == 1:
         for sign, named in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
             if len(header[0].split(sign)) > 1:
                 raise DatasetError(
-                    f"{where}: its cells are parted by {named}, not by commas; `slipmap import` reads"
-                    f" it: slipmap import {where} --guess"
+                    f"{where}: its cells are separated by {named}, not commas; import it with"
+                    f" `slipmap import {where} --guess`"
                 )
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(
         f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
-        f" Other names and units are told under the key csv of the YAML file of --object{_further(header)}"
+        f" Declare other names and units under the key csv in the YAML file of --object{_further(header)}"
     )
 
 
 def _further(header: list[str]) -> str:
-    """What else can be said of a header whose columns are of another kind."""
+    """Hints for headers with quaternions or split times."""
     ends = {name.rsplit(".", 1)[-1].lower() for name in header}
     said = ""
     if {"qx", "qy", "qz", "qw"} <= ends or {"x", "y", "z", "w"} <= ends:
         said += (
-            ". Quaternions are not read: of an object that stays level theta = 2 atan2(qz, qw), up being z"
+            ". Quaternions are not read; for an object that stays level, theta = 2 atan2(qz, qw) with z up"
         )
     if ends & {"nanosec", "nsecs", "nsec"}:
-        said += ". Time is one column: sec + 1e-9 nanosec"
+        said += ". Time must be one column: sec + 1e-9 nanosec"
     return said
 
 

@@ -1,5 +1,5 @@
-"""What can be said of a push dataset before anything is learned: whether the measurements fit each other, and
-what these pushes could tell."""
+"""Check a push dataset before any learning: whether the measurements are consistent, and what the pushes
+could show."""
 
 from __future__ import annotations
 
@@ -32,35 +32,35 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
 
-_SLOW_RATE = 20.0  # Hz below which a contact is hardly seen
+_SLOW_RATE = 20.0  # Hz below which contact is hard to see
 _GAP = 0.25  # s without a pose of a moving object
-_WRONG_SHARE = 0.25  # of the pushes that are wrong, for the whole to be
-_NOTABLE_LAG = 1e-3  # m that object and finger are apart by it
+_WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong
+_NOTABLE_LAG = 1e-3  # m between object and finger because of a lag
 _FORCE_LATE = 0.01  # s
-_TAKEN = "taken off"  # says an import of a force's bias
+_TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
-_OFF_NORMAL = np.radians(25.0)  # beyond most frictions of a finger, in the median
-_ARCS = 8  # parts of the outline's length
+_OFF_NORMAL = np.radians(25.0)  # median; beyond the friction of most fingers
+_ARCS = 8  # equal parts of the outline's length
 _OCTANTS = 8
-_COASTS = 5e-3  # m that an object goes on without the finger
+_COASTS = 5e-3  # m that an object moves without the finger
 _AWAY = 2e-3  # m
-_FAST = 0.1  # m/s at which inertia tells
-_SPEEDS = 2.0  # ratio of speeds that differ
+_FAST = 0.1  # m/s above which inertia shows
+_SPEEDS = 2.0  # ratio from which speeds count as different
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     what: str
     found: str  # with numbers and units
-    verdict: Verdict  # `wrong` makes what is learned wrong
-    advice: str = ""  # what to do, where something is to be done
+    verdict: Verdict  # `wrong` means that anything learnt would be wrong
+    advice: str = ""  # what to do, if anything
 
 
 @dataclass(frozen=True)
 class Told:
-    """Whether these pushes could tell a quantity or an effect, before any fit."""
+    """Whether these pushes could show a quantity or an effect, before any fit."""
 
     name: str
     could: bool
@@ -69,24 +69,24 @@ class Told:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the pushes have in common and in which they differ."""
+    """What the pushes cover."""
 
-    pushes: int  # in which the object moves
-    arcs: int  # of eight equal lengths of the outline that were touched
-    table_octants: int  # of eight directions on the table in which the object moved
-    object_octants: int  # the same seen from the object
-    slowest: float  # of the objects' highest speeds, m/s
-    fastest: float  # the same
-    turned: float  # largest angle from begin to end, rad
-    spread: float  # largest distance between two places of the object, m
+    pushes: int  # number in which the object moves
+    arcs: int  # number of eight equal lengths of the outline that were touched
+    table_octants: int  # number of eight directions on the table in which the object moved
+    object_octants: int  # the same in the object frame
+    slowest: float  # smallest of the pushes' highest speeds, m/s
+    fastest: float  # largest of them
+    turned: float  # largest rotation from start to end, rad
+    spread: float  # extent of the positions of the object, m
     size: float  # of the object, m
-    coasting: int  # pushes in which it slides on its own
+    coasting: int  # number of pushes in which the object slides freely
     forces: bool
     mass_known: bool
 
     @property
     def speeds_differ(self) -> bool:
-        """Whether some push is much faster than another."""
+        """Whether the fastest push is more than twice as fast as the slowest."""
         return self.fastest > _SPEEDS * self.slowest
 
 
@@ -104,7 +104,7 @@ class DatasetCheck:
 
     @property
     def wrong(self) -> bool:
-        """Whether what is learned from these pushes would be wrong."""
+        """Whether anything learnt from these pushes would be wrong."""
         return any(finding.verdict == "wrong" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
@@ -122,7 +122,7 @@ class DatasetCheck:
 
 
 def check_dataset(dataset: PushDataset) -> DatasetCheck:
-    """Whether the measurements fit each other, and what they could tell, before any fit.
+    """Check whether the measurements are consistent, and what they could show, before any fit.
 
     Example:
         >>> import slipmap
@@ -151,7 +151,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
     )  # fmt: skip
 
 
-# Whether measurements fit each other.
+# Consistency of the measurements.
 
 
 def _rates(dataset: PushDataset) -> list[Finding]:
@@ -176,10 +176,10 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             if name == "object_pose" and not trial.ends_only and _longest_blind_motion(trial) > _GAP
         ]
         if rate < _SLOW_RATE:
-            advice = f"below {_SLOW_RATE:g} Hz touch and release are hardly seen; record faster"
+            advice = f"below {_SLOW_RATE:g} Hz, touch and release are hard to see; record at a higher rate"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         elif blind:
-            advice = f"the object moves unseen for more than {1e3 * _GAP:.0f} ms in {parsing.listed(blind)}"
+            advice = f"no pose for more than {1e3 * _GAP:.0f} ms of motion in {parsing.listed(blind)}"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         else:
             findings.append(Finding(f"rate of {words}", text, "good"))
@@ -187,14 +187,14 @@ def _rates(dataset: PushDataset) -> list[Finding]:
 
 
 def _longest_blind_motion(trial: Trial) -> float:
-    """The longest time without a pose in which the object moves, s."""
+    """The longest time between poses in which the object moves, s."""
     pose = trial.object_pose
     moved = np.hypot(*np.diff(pose.values[:, :2], axis=0).T) > 1e-3
     return float(np.max(np.diff(pose.time)[moved], initial=0.0))
 
 
 def _rows_left_out(dataset: PushDataset) -> list[Finding]:
-    """Flips, zeros and stamps that go back, as reading and importing found them."""
+    """Flips, zeros and stamps that go back, as found on reading and importing."""
     texts = dict.fromkeys((*dataset.warnings, *dataset.provenance))
     found = []
     for what, words in (
@@ -212,7 +212,7 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
 
 
 def _clocks(dataset: PushDataset) -> list[Finding]:
-    """Finger against object, and force against both, by contact."""
+    """Clocks of the finger relative to the object, and of the force relative to both, from contact."""
     lags, late = [], []
     speed = []
     for trial in dataset.trials:
@@ -228,7 +228,7 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
     if lags:
         middle, error = middle_of(lags)
         apart = abs(middle) * float(np.median(speed))
-        text = f"finger {_late(middle)} against the object, ± {1e3 * error:.1f} ms"
+        text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
         advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's"
         sure = abs(middle) > 3.0 * error and apart > _NOTABLE_LAG
         verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
@@ -236,7 +236,9 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
     if late:
         force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
         lag = lag_by_rises(late, force)
-        text = f"force {_late(lag.value)} against the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        text = (
+            f"force {_late(lag.value)} relative to the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        )
         sure = lag.sure and abs(lag.value) > _FORCE_LATE
         findings.append(
             Finding("clock of the force", text, "note" if sure else "good",
@@ -246,14 +248,14 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
 
 
 def _late(lag: float) -> str:
-    """Of what has to be added to stamps."""
+    """A lag in words, given what has to be added to the stamps."""
     if abs(lag) < 5e-4:
         return "0 ms"
     return f"{1e3 * abs(lag):.0f} ms {'early' if lag > 0 else 'late'}"
 
 
 def _speed(trial: Trial) -> float:
-    """Speed of the object that one row in ten exceeds, m/s."""
+    """90th percentile of the object's speed, m/s."""
     begin, end = trial.object_pose.time[[0, -1]]
     time = np.linspace(begin, end, 200)
     place = trial.object_pose.at(time)[:, :2]
@@ -269,11 +271,15 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     deep = depth > limit
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
-        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while it pushes"
+        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while pushing"
     if deep.mean() > _WRONG_SHARE:
         said = next((text for text in dataset.warnings if "the finger goes" in text or "starts" in text), "")
-        advice = said or "is theta's sign, the frame, the clock, the finger's point or finger.radius right?"
-        return [Finding("contact", f"{text}; too deep in {deep.sum()} of {len(rows)}", "wrong", advice)]
+        advice = said or (
+            "check theta's sign, the frames, the clocks, which point of the finger was recorded, and"
+            " finger.radius"
+        )
+        text += f"; too deep in {deep.sum()} of {len(rows)} pushes"
+        return [Finding("contact", text, "wrong", advice)]
     if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
         return [Finding("contact", text, "note", "is finger.radius, or the outline, too small?")]
     return [Finding("contact", text, "good")]
@@ -299,7 +305,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))
         size = float(np.hypot(*bias))
         matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
-        text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, where pushing takes {pushing:.2g} N"
+        text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, compared with {pushing:.2g} N while pushing"
         gone = [
             text.partition("ft_wrench: ")[2]
             for text in dataset.provenance
@@ -308,7 +314,8 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         if gone:
             text += f"; on import: {gone[0]}{f', and {len(gone) - 1} more' if len(gone) > 1 else ''}"
         advice = (
-            "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
+            "subtract it with ft_wrench.offset in a setup.yaml, or keep rows before the touch so that slipmap"
+            " import can"
         )
         verdict: Verdict = "wrong" if matters else "note" if gone else "good"
         findings.append(Finding("force at rest", text, verdict, advice if matters else ""))
@@ -316,7 +323,7 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     if len(force) >= 10:
         off = angle_between(force, normal)
         middle = float(np.median(np.abs(off)))
-        text = f"{np.degrees(middle):.0f}° off the contact's normal in the median of {len(force)} rows"
+        text = f"median {np.degrees(middle):.0f}° off the contact normal over {len(force)} rows"
         complaint = force_complaint(dataset, rows)
         if complaint is not None:
             findings.append(Finding("force's direction", text, "wrong", complaint))
@@ -324,12 +331,12 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
             unusual = middle > _OFF_NORMAL
             findings.append(
                 Finding("force's direction", text, "note" if unusual else "good",
-                        "is its frame turned? Fingers seldom have so much friction" if unusual else "")
+                        "is its frame rotated? Fingers seldom have this much friction" if unusual else "")
             )  # fmt: skip
     return findings
 
 
-# What they could tell.
+# What the pushes could show.
 
 
 def _coverage(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
@@ -375,7 +382,7 @@ def _octant(way: FloatArray) -> int:
 
 
 def _coasted(dataset: PushDataset, trial: Trial) -> bool:
-    """Whether the object slides on its own: from its first row, or after the finger has left it."""
+    """Whether the object slides freely: from its first row on, or after the finger has left it."""
     if trial.initial_velocity().any():
         return True
     if not trial.has_finger:
@@ -399,66 +406,64 @@ def _quantities(seen: Coverage) -> list[Told]:
         Told("total friction", seen.forces or (seen.coasting > 0 and seen.mass_known),
              "force in steady sliding" if seen.forces else "needs force, or a weighed object that coasts"),
         Told("centre of friction", around,
-             f"{seen.arcs} of 8 parts of the outline touched, {np.degrees(seen.turned):.0f}° turned at most"),
+             f"{seen.arcs} of 8 parts of the outline touched, turned {np.degrees(seen.turned):.0f}° at most"),
         Told("friction arm", seen.turned > np.radians(10.0), "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
-             "weighed beforehand" if seen.mass_known else "needs force with speed or coasting"),
+             "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
         Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
              f"fastest {1e3 * seen.fastest:.0f} mm/s, {seen.coasting} pushes coast"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
-        Told("shares of parts of the object", seen.arcs >= 5 and around, "touches all around"),
+        Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip
 
 
 _Needs = Callable[[Coverage], bool]
 EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
-    "viscous_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
-    "stribeck_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
+    "viscous_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds a factor of two apart"),
+    "stribeck_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds a factor of two apart"),
     "anisotropic_table": (lambda c: c.table_octants >= 4, "four directions on the table"),
-    "anisotropic_object": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "anisotropic_object": (lambda c: c.object_octants >= 4, "four directions in the object frame"),
     "table_tilt": (lambda c: c.table_octants >= 4, "opposite directions on the table"),
-    "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
-    "tether": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
+    "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
+    "tether": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
     "sensor_latency": (lambda c: c.speeds_differ or c.fastest > _FAST, "fast pushes, or two speeds"),
     "tracker_offset": (lambda c: c.turned > np.radians(30.0) or c.arcs >= 3, "three sides, or large turns"),
-    "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "long ways"),
+    "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "two sides, and long travel"),
     "friction_drift": (lambda c: c.pushes >= 8, "eight pushes in the order of the experiment"),
     "finger_compliance": (lambda c: c.forces, "force"),
     "loose_mass": (lambda c: c.fastest > _FAST or c.coasting > 0, "fast starts and stops"),
     "load_transfer": (lambda c: c.fastest > _FAST or c.coasting > 0 or c.arcs >= 4, "four sides, or braking"),
-    "skate": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "skate": (lambda c: c.object_octants >= 4, "four directions in the object frame"),
     "impulse_friction": (lambda c: c.table_octants >= 4, "four headings on the table"),
     "friction_diamond": (lambda c: c.table_octants >= 4, "four directions on the table"),
     "friction_square": (lambda c: c.table_octants >= 4, "four directions on the table"),
-    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
-    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
+    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
+    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
     "tracker_shift": (lambda c: c.arcs >= 3, "three sides"),
     "force_frame": (lambda c: c.forces and c.arcs >= 2, "force on two sides"),
     "force_bias": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
     "force_gains": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
     "force_latency": (lambda c: c.forces and c.pushes > 0, "force"),
 }
-"""What pushes must be like for each effect of the library to show, and that in words."""
+"""Condition on the pushes for each effect of the library to show, and the same in words."""
 
 
 def _advice(seen: Coverage) -> list[str]:
-    """Which pushes to add, the most telling first."""
+    """Which pushes to add, the most useful first."""
     wanted = []
     if seen.pushes < 6:
         more = 6 - seen.pushes
-        wanted.append(f"{more} more push{'es' * (more > 1)}: six or more leave some to judge with")
+        wanted.append(f"{more} more push{'es' * (more > 1)}: with six or more, some can be held out")
     if seen.arcs < 5:
-        wanted.append(
-            f"pushes at parts of the outline that were not touched ({_ARCS - seen.arcs} of {_ARCS})"
-        )
+        wanted.append(f"pushes on parts of the outline not touched yet ({_ARCS - seen.arcs} of {_ARCS})")
     if seen.turned < np.radians(10.0):
-        wanted.append("pushes beside the middle, so that the object turns by 30° and more")
+        wanted.append("off-centre pushes that turn the object by 30° or more")
     if seen.table_octants < 4:
-        wanted.append("pushes in other directions on the table, opposite ones among them")
+        wanted.append("pushes in other directions on the table, including opposite ones")
     if not seen.speeds_differ:
         wanted.append("two pushes twice as fast as the others")
     if seen.fastest < _FAST and not seen.coasting and not seen.mass_known:
         wanted.append("a fast push that lets the object coast, or object.mass from a scale")
     if not seen.forces:
-        wanted.append("force, if there is a sensor: without it total friction stays open")
+        wanted.append("force, if you have a sensor: without it the total friction stays open")
     return wanted

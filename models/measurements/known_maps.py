@@ -1,7 +1,8 @@
-"""What is known of an object's maps before any push: the key `known` of a dataset.yaml, or a file of its own.
+"""Read what is known about an object's maps before any push, from the key `known` of a dataset.yaml or from a
+file of the same keys.
 
-What is said of the whole object comes first, then regions in their order, each over those before it. What
-nothing names stays free.
+Statements about the whole object apply first, then regions in order, each overriding those before it. What is
+not mentioned stays free.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ _SPREAD = Number(
     "1",
     LEAST_SPREAD,
     1.0,
-    "{where}: a relative standard deviation lies in {low:g} to {high:g}, got {value:g}",
+    "{where}: a relative standard deviation must lie between {low:g} and {high:g}, got {value:g}",
 )
 
 
 def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushDataset:
-    """The dataset with what a YAML file says is known: the keys under `known` of a dataset.yaml, at its top.
+    """The dataset with known maps from a YAML file with the keys of `known` in a dataset.yaml.
 
     Raises:
-        DatasetError: the file cannot be used, or does not fit the object; names file and key.
+        DatasetError: the file cannot be used, or does not match the object; the message names file and key.
     """
     where = str(path)
     _, document = parsing.read_yaml(Path(path), where)
@@ -45,10 +46,10 @@ def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushD
 
 
 def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -> tuple[KnownMaps, list[str]]:
-    """Known maps from a parsed mapping, and what looks wrong about it.
+    """Known maps from a parsed mapping, and warnings about it.
 
     Raises:
-        DatasetError: it cannot be used, or does not fit the object; names the key.
+        DatasetError: it cannot be used, or does not match the object; the message names the key.
     """
     warnings: list[str] = []
     fields = parsing.section(value, ("spread", "finger_friction", "regions", *_NUMBERS), where, warnings)
@@ -64,7 +65,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
         _lay(region, maps, grid, usual, f"{where}: regions, row {row}", warnings)
     rubbing = fields.get("finger_friction")
     if isinstance(rubbing, dict) and "ratios" in rubbing:
-        raise DatasetError(f"{where}: finger_friction is one number, of which there are no ratios")
+        raise DatasetError(f"{where}: finger_friction is a single number and cannot be given as ratios")
     single = rubbing.get("value") if isinstance(rubbing, dict) else rubbing
     if single is not None and (isinstance(single, bool) or not isinstance(single, int | float)):
         raise DatasetError(f"{where}: finger_friction must be a number, got {parsing.shown(single)}")
@@ -73,8 +74,8 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     if not named and np.isnan(finger.values[0]):
         unknown = f" ({'; '.join(warnings)})" if warnings else ""
         raise DatasetError(
-            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions, as keys"
-            f" at its top{unknown}"
+            f"{where}: states nothing known; give mass, friction, finger_friction or regions as top-level"
+            f" keys{unknown}"
         )
     arguments: dict[str, Any] = {}
     for name, one in named.items():
@@ -90,7 +91,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
 
 
 def known_document(known: KnownMaps) -> dict[str, Any]:
-    """The mapping that `parse_known` reads the same from: values and spreads of every cell."""
+    """The mapping from which `parse_known` reads the same known maps: values and spreads of every cell."""
     document: dict[str, Any] = {}
     for name in _NUMBERS:
         values, spread = getattr(known, name), getattr(known, f"{name}_spread")
@@ -109,21 +110,21 @@ def known_document(known: KnownMaps) -> dict[str, Any]:
 
 @dataclass
 class _Map:
-    """One map while it is read."""
+    """One map while it is being read."""
 
     values: FloatArray  # (n,) NaN where not known
     spread: FloatArray  # (n,)
-    ratios: bool  # whether the values' size means nothing
+    ratios: bool  # whether only the ratios of the values count
 
     @classmethod
     def parsed(
         cls, name: str, value: object, cells: int, usual: float, where: str, warnings: list[str]
     ) -> _Map:
-        """From `uniform`, a number or one number a cell, or a mapping of `value` and perhaps `spread`."""
+        """Parse `uniform`, a number, one number per cell, or a mapping of `value` and optionally `spread`."""
         fields: dict[str, Any] = {"value": value}
         if isinstance(value, dict):
             fields = parsing.section(value, ("value", "spread", "ratios"), where, warnings)
-            parsing.required(fields, "value", where, "say what is known")
+            parsing.required(fields, "value", where, "give the known value")
         value, spread, ratios = fields["value"], fields.get("spread", usual), fields.get("ratios", False)
         if not isinstance(ratios, bool):
             raise DatasetError(f"{where}.ratios: must be true or false, got {parsing.shown(ratios)}")
@@ -132,7 +133,7 @@ class _Map:
         elif name == "mass" and value is not None and not isinstance(value, list):
             raise DatasetError(
                 f"{where}: must be `uniform` or a list of every cell's mass in kg, got"
-                f" {parsing.shown(value)}; what the object weighs is object.mass"
+                f" {parsing.shown(value)}; the object's total mass belongs in object.mass"
             )
         spreads = [_SPREAD.read(one, f"{where}.spread") for one in _each(spread, cells, f"{where}.spread")]
         values = [
@@ -146,8 +147,8 @@ def _each(value: object, cells: int, where: str) -> list[Any]:
     values = value if isinstance(value, list) else [value] * cells
     if len(values) != cells:
         raise DatasetError(
-            f"{where}: has {len(values)} values for {cells} cells; give one for all, or one for each in the"
-            " order of object.cells.centers"
+            f"{where}: has {len(values)} values for {cells} cells; give one for all cells, or one for each in"
+            " the order of object.cells.centers"
         )
     return values
 
@@ -155,26 +156,26 @@ def _each(value: object, cells: int, where: str) -> list[Any]:
 def _lay(
     value: object, maps: Mapping[str, _Map], grid: CellGrid, usual: float, where: str, warnings: list[str]
 ) -> None:
-    """Lay a region over the maps: a friction coefficient, and a mass that its cells share."""
+    """Apply a region to the maps: a friction coefficient, and a mass that its cells share."""
     region = parsing.section(value, ("disc", "polygon", "spread", *_NUMBERS), where, warnings)
     cells = _cells(region, grid, where, warnings)
     spread = _SPREAD.read(region.get("spread", usual), f"{where}.spread")
     given = [name for name in _NUMBERS if region.get(name) is not None]
     if not given:
-        raise DatasetError(f"{where}: says nothing that is known; give its mass (kg) or friction")
+        raise DatasetError(f"{where}: states nothing known; give its mass (kg) or friction")
     for name in given:
         number = _NUMBERS[name].read(region[name], f"{where}.{name}")
         if maps[name].ratios:
             raise DatasetError(
-                f"{where}.{name}: cannot lie over a {name} of which only ratios are known; give every cell's"
-                f" {name} in numbers, or leave it out of one of the two"
+                f"{where}.{name}: cannot be combined with a {name} map that is given as ratios; give every"
+                f" cell's {name} as a number, or leave {name} out of one of the two"
             )
         maps[name].values[cells] = number / len(cells) if name == "mass" else number
         maps[name].spread[cells] = spread
 
 
 def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> NDArray[np.intp]:
-    """Cells whose centres lie in a region; where it is smaller than cells are, the one that it lies on."""
+    """Cells whose centres lie in a region, or the nearest cell if the region is smaller than that."""
     if ("disc" in region) == ("polygon" in region):
         raise DatasetError(f"{where}: give either a disc or a polygon, in the object frame, m")
     if "disc" in region:
@@ -184,7 +185,7 @@ def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[st
     else:
         corners = parsing.table(region["polygon"], 2, f"{where}.polygon")
         if len(corners) < 3 or not np.isfinite(corners).all():
-            raise DatasetError(f"{where}.polygon: needs three corners or more, each two finite numbers")
+            raise DatasetError(f"{where}.polygon: needs at least three corners, each of two finite numbers")
         shape = shapely.Polygon(corners)
         if not shape.is_valid:
             raise DatasetError(f"{where}.polygon: crosses itself; give its corners in order")
@@ -194,5 +195,5 @@ def _cells(region: dict[str, Any], grid: CellGrid, where: str, warnings: list[st
     distance = np.hypot(*(grid.centers - shape.centroid.coords[0]).T)
     nearest = int(np.argmin(distance))
     if distance[nearest] > grid.width:
-        raise DatasetError(f"{where}: lies off the object; give it in the object frame, m")
+        raise DatasetError(f"{where}: lies outside the object; give it in the object frame, m")
     return np.array([nearest])

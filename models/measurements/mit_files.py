@@ -1,10 +1,10 @@
 """Pushes and objects of the MIT push dataset (Yu, Bauza, Fazeli and Rodriguez, IROS 2016), in JSON or HDF5.
 
-The files do not describe the object. Sizes, masses and the placing of the frame are those of the laboratory's
+The files do not describe the object. Sizes, masses and the placement of the frame come from the laboratory's
 own table of shapes, published with its software (github.com/peterkty/pnpush,
-pnpush_config/src/config/shape_db.py). All are stainless steel, 13 mm thick; area, thickness and mass agree on
-a density of 7.8 to 8.0 g/cm³. The butterfly `butter` is left out: its outline exists only as a list of
-measured points there.
+pnpush_config/src/config/shape_db.py). All shapes are stainless steel, 13 mm thick; area, thickness and mass
+give a density of 7.8 to 8.0 g/cm³. The butterfly `butter` is left out, since its outline exists there only as
+a list of measured points.
 """
 
 import io
@@ -29,7 +29,7 @@ _MOST_NUMBERS = 8 * 2**20  # in one HDF5 channel
 
 
 def read_mit_trial(name: str, role: Role, content: bytes, where: str) -> tuple[Trial, list[str]]:
-    """One push file; the stored force of the object on the finger is turned into that on the object.
+    """Read one push file; the stored force of the object on the finger is negated to give that on the object.
 
     Raises:
         DatasetError: see `trial_from_tables`; the arrays `object_pose` and `tip_pose` must be there.
@@ -44,7 +44,7 @@ def read_mit_trial(name: str, role: Role, content: bytes, where: str) -> tuple[T
 
 
 def named_shape(files: Sequence[Path]) -> str | None:
-    """The shape that file names agree on, as in motion_surface=abs_shape=rect1_v=20.json; two are refused."""
+    """The shape in the file names, as in motion_surface=abs_shape=rect1_v=20.json; refuses different ones."""
     found: dict[str, Path] = {}
     for file in files:
         match = re.search(r"shape=([A-Za-z0-9]+)", file.name)
@@ -53,19 +53,20 @@ def named_shape(files: Sequence[Path]) -> str | None:
     if len(found) > 1:
         (one, first), (other, second) = sorted(found.items())[:2]
         raise DatasetError(
-            f"{first.parent}: {first.name} is about {one}, {second.name} about {other}; a dataset has one"
-            " object, put the files of each into a folder of its own"
+            f"{first.parent}: {first.name} is about {one}, but {second.name} is about {other}; a dataset has"
+            " one object, so put the files of each object into a separate folder"
         )
     return next(iter(found), None)
 
 
 def surface_warnings(files: Sequence[Path]) -> list[str]:
-    """A warning where the file names tell of more than one surface: one friction cannot serve them all."""
+    """A warning if the file names give more than one surface, since one friction cannot fit them all."""
     surfaces = {match[1] for file in files if (match := re.search(r"surface=([A-Za-z0-9]+)", file.name))}
     if len(surfaces) < 2:
         return []
     return [
-        f"{files[0].parent}: the files name the surfaces {', '.join(sorted(surfaces))}; friction will differ"
+        f"{files[0].parent}: the file names give different surfaces, {', '.join(sorted(surfaces))}; their"
+        " friction will differ"
     ]
 
 
@@ -93,15 +94,15 @@ def _hdf5_table(item: object, where: str) -> FloatArray:
     if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
         raise DatasetError(f"{where}: must be an array inside the file")
     if item.dtype.kind not in "fiu":
-        raise DatasetError(f"{where}: must hold numbers, has the type {item.dtype}")
+        raise DatasetError(f"{where}: must contain numbers, but has the type {item.dtype}")
     if item.size is not None and item.size > _MOST_NUMBERS:
         raise DatasetError(
-            f"{where}: {item.size} numbers are more than the {_MOST_NUMBERS} one channel may have"
+            f"{where}: has {item.size} numbers, but a channel may have at most {_MOST_NUMBERS}"
         )
     if item.size == 0:
         return np.empty((0, COLUMNS))
     if item.ndim != 2 or item.shape[1] != COLUMNS:
-        raise DatasetError(f"{where}: needs rows of {COLUMNS} columns, has the shape {item.shape}")
+        raise DatasetError(f"{where}: needs rows of {COLUMNS} columns, but has the shape {item.shape}")
     return np.asarray(item[...], dtype=float)
 
 
@@ -113,13 +114,13 @@ class MitShape(NamedTuple):
 
 
 def mit_shape(name: str, where: str) -> MitShape:
-    """A shape of the MIT push dataset by its name there; others are refused."""
+    """A shape of the MIT push dataset by its name there; refuses other names."""
     if name not in MIT_SHAPES:
         near = get_close_matches(name, MIT_SHAPES, n=1)
         hint = f" Did you mean {near[0]}?" if near else ""
         raise DatasetError(
-            f"{where}: no outline is known of {name!r}, only of {', '.join(sorted(MIT_SHAPES))}.{hint}"
-            " For another object give a YAML file with the keys object and finger of a dataset.yaml"
+            f"{where}: the outline of {name!r} is unknown; known are {', '.join(sorted(MIT_SHAPES))}.{hint}"
+            " For another object, give a YAML file with the keys object and finger of a dataset.yaml"
         )
     return MIT_SHAPES[name]
 
@@ -131,13 +132,13 @@ def _rectangle(along_x: float, along_y: float) -> FloatArray:
 
 
 def _triangle(along_x: float, along_y: float) -> FloatArray:
-    """Right triangle whose right angle sits where rect1, tracked by the same plate, has its corner."""
+    """Right triangle with its right angle at the corner of rect1, which is tracked by the same plate."""
     corner = 0.045
     return np.array([[corner, corner], [corner - along_x, corner], [corner, corner - along_y]])
 
 
 def _ellipse(along_x: float, along_y: float, corners: int = 96) -> FloatArray:
-    """96 corners stay within 0.05 mm of the curve."""
+    """Ellipse as a polygon; 96 corners stay within 0.05 mm of the curve."""
     angle = np.arange(corners) * 2.0 * np.pi / corners
     return 0.5 * np.stack([along_x * np.cos(angle), along_y * np.sin(angle)], axis=1)
 

@@ -1,7 +1,6 @@
-"""What the rows of a record say of motion: the smooth track of a finger, and the twist with which an object
-enters a trial.
+"""Motion from recorded rows: the smooth track of a finger, and the initial twist of an object in a trial.
 
-A finger is stiff and smooth, its record jitters. Fed into the model as it is, jitter of 0.05 mm rattles the
+A finger moves smoothly, but its record jitters. Fed into the model unsmoothed, jitter of 0.05 mm rattles the
 contact between no force and twice the force, and rectifies into a drift: with the true maps of a simulated
 object, pushes ended 1.4 mm off on average, and 0.5 mm off after smoothing.
 """
@@ -12,8 +11,8 @@ from scipy.ndimage import correlate1d, maximum_filter1d, uniform_filter1d
 from slipmap.models.physics.cell_grid import FloatArray
 
 _WINDOWS = (0.4, 0.3, 0.2, 0.14, 0.1, 0.07, 0.05)  # s; widths of the local quadratics that are tried
-_TOLERATED = 2.0  # of the noise; what a good window leaves (rms over five rows) is below
-_SMALLEST_NOISE = 2e-6  # m; rounding of the record is no noise
+_TOLERATED = 2.0  # times the noise; the residual of a good window (rms over five rows) is below this
+_SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
 _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
 _LONGEST_WINDOW = 0.25  # s
@@ -32,10 +31,10 @@ _HUBER_ITERATIONS = 8
 
 
 def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Local quadratics over the widest window that the noise allows at each time.
+    """Smooth a track by local quadratics over the widest window that the noise allows at each time.
 
-    The noise is estimated from third differences, which smooth motion hardly has. Where the finger starts,
-    stops or turns within a window, the quadratic leaves more than the noise and a narrower window is taken,
+    The noise is estimated from third differences, which are small in smooth motion. Where the finger starts,
+    stops or turns within a window, the quadratic leaves more than the noise and a narrower window is used,
     down to the record itself.
 
     Args:
@@ -72,7 +71,7 @@ def _local_quadratics(track: FloatArray, rows: int) -> FloatArray:
     """Each row (T, c) on the parabola through the `rows` around it, an odd number; at the ends, through the
     first or last of them (Savitzky and Golay 1964).
 
-    As scipy.signal has it, whose import takes a second.
+    The same as in scipy.signal, whose import takes a second.
     """
     half = rows // 2
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, rows), 3))
@@ -92,24 +91,23 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     1. the quadratic fits within twice the noise or within 2 % of the travel,
     2. its initial speed exceeds 0.01 m/s or 0.1 rad/s and ten standard errors, and
     3. it explains the rows better, by 10 in twice the log-likelihood, than every history that begins at rest:
-       a constant pose over the first k >= 2 rows, followed by any quadratic or by nothing. Where that rest
-       ends within 0.015 s the two can hardly be told apart and mean the same for a simulation, so there
-       the quadratic must only not be clearly worse.
+       a constant pose over the first k >= 2 rows, followed by any quadratic or by nothing. If that rest ends
+       within 0.015 s, the two are nearly indistinguishable and equivalent for a simulation, so the quadratic
+       only has to be not clearly worse.
 
     The estimate is then taken from the longest window that a quadratic fits within the noise.
 
-    Noise is the robust spread of each row about the line through its neighbours. That misses slow wander of
-    a tracker, which is why the thresholds are far above those for independent rows; wander that covers three
-    standard deviations of a row within the window can still pass for a slow start, in under 1 % of trials.
-    Motion that is rounded to rest costs little: friction stops what is slower than the least speeds within
-    a tenth of a millimetre.
+    Noise is the robust spread of each row about the line through its neighbours. This misses slow wander of a
+    tracker, so the thresholds are far above those for independent rows; wander over three standard deviations
+    of a row within the window can still pass for a slow start, in under 1 % of trials. Rounding slow motion
+    to rest costs little: friction stops anything slower than the least speeds within a tenth of a millimetre.
 
     Args:
         time: (T,) s, increasing.
         pose: (T, 3) x, y in m and unwrapped angle in rad.
 
     Returns:
-        (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows: too few to tell.
+        (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows, which are too few.
     """
     noise = _row_noise(time, pose)
     within = int(np.searchsorted(time, time[0] + _LONGEST_WINDOW, side="right"))
@@ -172,7 +170,7 @@ def _quadratic(time: FloatArray) -> FloatArray:
 
 
 def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
-    """(3,) robust standard deviation of a row, from its distance to the line through its neighbours."""
+    """(3,) robust standard deviation of a row from the line through its neighbours."""
     if len(time) < 3:
         return np.full(3, _RESOLUTION)
     share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
@@ -182,8 +180,8 @@ def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def _robust_spread(residual: FloatArray) -> FloatArray:
-    """Standard deviation from the median distance to zero (1.4826 makes it right for Gaussian rows)."""
-    # As np.median, which for so few rows takes ten times as long.
+    """Standard deviation from the median distance to zero (the factor 1.4826 is for Gaussian rows)."""
+    # The same as np.median, which takes ten times as long for so few rows.
     ordered = np.sort(np.abs(residual), axis=0)
     return 1.4826 * 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 

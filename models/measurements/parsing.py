@@ -1,8 +1,7 @@
-"""Measurements out of files: bytes, JSON and YAML, and the numbers, texts and tables in them.
+"""Parse files of measurements: bytes, JSON and YAML, and the numbers, texts and tables in them.
 
-Files are bounded in size and never executed; every failure is a `DatasetError` that says where it stood.
-The checks are our own because libraries such as pydantic name field and type, but not row, unit and what
-to do.
+Files are bounded in size and never executed; every failure is a `DatasetError` that says where it occurred.
+The checks are our own because libraries such as pydantic name field and type, but not row, unit and remedy.
 """
 
 import hashlib
@@ -26,8 +25,8 @@ from slipmap.models.physics.cell_grid import FloatArray
 _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
 _LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 _DEEPEST_YAML = 50
-_MOST_FAULTS = 40  # in one text
-_LONGEST_NAME = 250  # characters of a path that an error text has in full
+_MOST_FAULTS = 40  # in one message
+_LONGEST_NAME = 250  # characters up to which a path is given in full
 
 
 def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
@@ -41,7 +40,7 @@ def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
 
 
 def parse_json(content: bytes, where: str) -> Any:
-    """A JSON document; NaN is allowed, a key that stands twice is not."""
+    """Parse a JSON document; NaN is allowed, a repeated key is not."""
     try:
         return json.loads(content, object_pairs_hook=_unrepeated)
     except RecursionError:
@@ -56,12 +55,12 @@ def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result = dict(pairs)
     if len(result) < len(pairs):
         name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
-        raise ValueError(f"the key {shown(name)} stands there twice")
+        raise ValueError(f"the key {shown(name)} appears twice")
     return result
 
 
 def read_yaml(path: Path, where: str) -> tuple[bytes, dict[str, Any]]:
-    """The content of a YAML file, and the mapping of plain data in it; `where` is its name in error texts."""
+    """The content of a YAML file, and the mapping of plain data in it; `where` names it in error messages."""
     content = read_bytes(path, _LARGEST_YAML)
     try:
         if _depth(content) > _DEEPEST_YAML:
@@ -73,7 +72,7 @@ def read_yaml(path: Path, where: str) -> tuple[bytes, dict[str, Any]]:
 
 
 def _depth(content: bytes) -> int:
-    """How deeply a YAML document is nested, up to one more than may be. The compiled loader would crash."""
+    """Nesting depth of a YAML document, up to one more than allowed. The compiled loader would crash."""
     depth = 0
     try:
         for event in yaml.parse(content, Loader=_Loader):
@@ -84,7 +83,7 @@ def _depth(content: bytes) -> int:
             elif isinstance(event, yaml.CollectionEndEvent):
                 depth -= 1
     except yaml.MarkedYAMLError as error:
-        # libyaml from 0.2.6 on has a limit of its own, far above ours, and meets it while it looks ahead.
+        # libyaml from 0.2.6 on has its own limit, far above ours, and hits it while looking ahead.
         if "nesting depth" in (error.problem or ""):
             return _DEEPEST_YAML + 1
         raise
@@ -110,20 +109,20 @@ class _PlainLoader(_Loader):
                 if key.value in names:
                     line = key.start_mark.line + 1
                     raise yaml.constructor.ConstructorError(
-                        problem=f"the key {shown(key.value)} stands there twice, again in line {line}"
+                        problem=f"the key {shown(key.value)} appears twice, again in line {line}"
                     )
                 names.add(key.value)
         return super().construct_mapping(node, deep)
 
 
 class Fingerprint:
-    """sha256 over named contents in the order in which they are added."""
+    """sha256 over named contents, in the order in which they are added."""
 
     def __init__(self) -> None:
         self._digest = hashlib.sha256()
 
     def add(self, name: str, content: bytes) -> None:
-        """Add a file under a name that does not depend on where the dataset lies."""
+        """Add a file under a name that does not depend on the dataset's location."""
         encoded = name.encode("utf-8", "surrogatepass")
         self._digest.update(f"{len(encoded)} {len(content)} ".encode() + encoded)
         self._digest.update(content)
@@ -134,7 +133,7 @@ class Fingerprint:
 
 
 def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
-    """All that is wrong with some of `count` files or recordings (`what`), in one text."""
+    """One error with everything that is wrong with some of `count` files or recordings (`what`)."""
     unique = grouped(faults)
     if len(set(faults)) == 1:
         return DatasetError(faults[0])
@@ -144,8 +143,8 @@ def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
 
 
 def grouped(texts: Iterable[str]) -> list[str]:
-    """Each text once; of those that differ only in what stands before the first colon, such as the file, one
-    text that names them all."""
+    """Each text once; texts that differ only before the first colon, such as in the file, become one text
+    that names them all."""
     places: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):
         place, colon, complaint = text.partition(": ")
@@ -177,14 +176,14 @@ def required(fields: dict[str, Any], key: str, where: str, hint: str) -> Any:
 
 
 def section(value: object, known: Iterable[str], where: str, warnings: list[str]) -> dict[str, Any]:
-    """A mapping, with a warning for each key that has no meaning there."""
+    """A mapping, with a warning for each unknown key."""
     fields = mapping(value, where)
     warnings += unknown_keys(fields, known, where)
     return fields
 
 
 def unknown_keys(fields: Iterable[str], known: Iterable[str], where: str) -> list[str]:
-    """One warning for each key that has no meaning here, most likely a slip of the pen."""
+    """One warning for each unknown key, most likely a typing error."""
     known = sorted(known)
     return [
         f"{where}: the key {shown(key)} is unknown and ignored (known: {', '.join(known)})"
@@ -213,18 +212,18 @@ def number(value: object, where: str) -> float:
 
 
 class Number(NamedTuple):
-    """What a number in a description may be."""
+    """Unit and limits of a number in a description."""
 
-    unit: str  # for error texts
-    # low, high: its limits
+    unit: str  # for error messages
+    # low, high: the limits
     low: float = 0.0
     high: float = math.inf
-    # what is said where it lies beyond them; a format of the attributes, `where` and `value`
-    beyond: str = "{where}: lies in {low:g} to {high:g} {unit}, got {value:g}"
-    or_zero: bool = False  # whether it may be 0; otherwise only positive numbers are allowed
+    # message for a number beyond them; a format string over the attributes, `where` and `value`
+    beyond: str = "{where}: must lie between {low:g} and {high:g} {unit}, got {value:g}"
+    or_zero: bool = False  # whether 0 is allowed; otherwise only positive numbers are
 
     def read(self, value: object, where: str) -> float:
-        """A parsed value as such a number."""
+        """Check a parsed value and return it as a number."""
         result = number(value, where)
         if result <= 0 and not self.or_zero:
             raise DatasetError(f"{where}: must be positive ({self.unit}), got {result}")
@@ -244,7 +243,7 @@ _CELLS = {int, float, type(None)}
 
 
 def table(value: object, columns: int, where: str) -> FloatArray:
-    """(n, columns) numbers from a list of rows; None becomes NaN, as JSON has no word for it."""
+    """(n, columns) numbers from a list of rows; None becomes NaN, which JSON cannot express."""
     if not isinstance(value, list):
         raise DatasetError(f"{where}: must be a list of rows, got {shown(value)}")
     if set(map(type, value)) - {list}:
@@ -273,11 +272,11 @@ def _as_float(value: int | float, where: str) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise DatasetError(f"{where}: {shown(value)} is beyond what a measured number can be") from None
+        raise DatasetError(f"{where}: {shown(value)} is too large for a measured number") from None
 
 
 class _Short(reprlib.Repr):
-    """Values cut to a few dozen characters, however large or nested they are."""
+    """Representation of values in a few dozen characters, however large or nested they are."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -286,18 +285,18 @@ class _Short(reprlib.Repr):
         self.maxstring = self.maxother = 60
 
     def repr_int(self, value: int, level: int) -> str:
-        """An integer; the text of one beyond 64 bits would not help, and can be refused by Python."""
+        """Show an integer; the digits of one beyond 64 bits would not help, and Python may refuse them."""
         return repr(value) if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
 
 
 def shown(value: object) -> str:
-    """A value for an error text, on a few dozen characters."""
+    """A value for an error message, in a few dozen characters."""
     return _Short().repr(value)
 
 
 def shown_error(error: Exception) -> str:
-    """The message of a library's exception on one line of bounded length; of a text that it names, only the
-    line and column."""
+    """The message of a library's exception on one line of bounded length; where it quotes an input string,
+    only line and column are kept."""
     message = " ".join(re.sub(r'in "<(byte|unicode) string>", ', "", str(error)).split())
     return message if len(message) <= 200 else message[:197] + "..."
 
@@ -308,16 +307,16 @@ def listed(names: Sequence[str], most: int = 5) -> str:
 
 
 def push_label(text: str) -> str:
-    """What numbers a push, as one file has it and another may: 1.0 and 01 are 1."""
+    """The label of a push in a form that files can share: 1.0 and 01 become 1."""
     number = re.fullmatch(r"0*(\d+)(?:[.,]0*)?", text.strip())
     return number[1] if number else text.strip()
 
 
 def number_in(cell: str, where: str) -> float:
-    """The number that a cell of a table holds; Python's underscores are none.
+    """The number in a cell of a table, without Python's underscores.
 
     Raises:
-        DatasetError: it holds none; names the place.
+        DatasetError: the cell is not a number; the message names the place.
     """
     try:
         if "_" in cell:
@@ -325,5 +324,5 @@ def number_in(cell: str, where: str) -> float:
         return float(cell)
     except ValueError:
         raise DatasetError(
-            f"{where}: {shown(cell)} is no number; leave the cell empty where there is none"
+            f"{where}: {shown(cell)} is not a number; leave the cell empty if nothing was measured"
         ) from None

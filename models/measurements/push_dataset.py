@@ -1,7 +1,7 @@
-"""What was measured while a finger pushed one object over a table: channels, trials, datasets.
+"""Measurements of a finger pushing one object over a table: channels, trials, datasets.
 
-Nothing is extrapolated and no row is moved: sensors keep their own stamps. `pose_times`, `finger_path` and
-`wrench_samples` only count them from another zero, the first object pose.
+Nothing is extrapolated and no row is moved: sensors keep their own time stamps. `pose_times`, `finger_path`
+and `wrench_samples` only shift their zero to the first object pose.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     "tip_pose": ("tip_x", "tip_y"),
     "ft_wrench": ("force_x", "force_y", "force_tau"),
 }
-"""The channels of a trial and their columns beside time; force need not be measured."""
+"""The channels of a trial and their columns besides time; force is optional."""
 
 LEAST_SPREAD = 1e-3
-"""Nothing is known more exactly, as a relative standard deviation."""
+"""Smallest relative standard deviation with which anything is known."""
 
 _FAR_AWAY = 1.0  # m
 _LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
 
 
 class DatasetError(ValueError):
-    """Measurements that cannot be used. Its text is one paragraph: file, trial, row and what to do.
+    """Measurements that cannot be used. The message is one paragraph: file, trial, row and what to do.
 
     Example:
         >>> import slipmap
@@ -64,10 +64,12 @@ class Channel:
         time = np.ascontiguousarray(self.time, dtype=float)
         values = np.ascontiguousarray(self.values, dtype=float)
         if time.ndim != 1 or values.ndim != 2 or len(time) != len(values) or len(time) == 0:
-            raise DatasetError(f"channel: needs T >= 1 times and T rows, got {time.shape} and {values.shape}")
+            raise DatasetError(
+                f"channel: needs T >= 1 times and T rows, got the shapes {time.shape} and {values.shape}"
+            )
         bad = np.flatnonzero(~(np.isfinite(time) & np.isfinite(values).all(axis=1)))
         if len(bad):
-            raise DatasetError(f"channel, row {bad[0]}: every number must be finite; leave such rows out")
+            raise DatasetError(f"channel, row {bad[0]}: every number must be finite; leave this row out")
         late = np.flatnonzero(np.diff(time) <= 0)
         if len(late):
             raise DatasetError(f"channel, row {late[0] + 1}: time must increase from row to row")
@@ -75,7 +77,8 @@ class Channel:
         object.__setattr__(self, "values", values)
 
     def at(self, t: float | Sequence[float] | FloatArray) -> FloatArray:
-        """Values at times `t` of any shape (...), linear between rows and held beyond the ends: (..., c)."""
+        """Values (..., c) at times `t` of any shape (...), linear between rows and constant beyond the
+        ends."""
         return np.stack([np.interp(t, self.time, column) for column in self.values.T], axis=-1)
 
 
@@ -89,8 +92,8 @@ class Trial:
         object_pose: (T, 3) x, y in m and unwrapped theta in rad of the object frame in the world frame.
         tip_pose: (T, 2) centre of the finger in the world frame, m.
         ft_wrench: (T, 3) force of the finger on the object in the world frame, N, and torque about the
-            finger's axis, N·m, which is 0 where it was not; None where force was not measured.
-        kept: whether it is to stay in its dataset whatever checks on reading find.
+            finger's axis, N·m, 0 if not measured; None if force was not measured.
+        kept: whether it stays in its dataset whatever the checks on reading find.
 
     Raises:
         DatasetError: an unknown role, a wrong number of columns, or fewer than two object poses.
@@ -113,15 +116,15 @@ class Trial:
         if self.role not in ("fit", "heldout"):
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
         if len(self.object_pose.time) < 2:
-            raise DatasetError(f"{self.name}: object_pose needs two rows or more, a first and a last pose")
+            raise DatasetError(f"{self.name}: object_pose needs at least two rows, a first and a last pose")
         for what, channel in self.channels.items():
             columns, found = len(CHANNELS[what]), channel.values.shape[1]
             if found != columns:
-                raise DatasetError(f"{self.name}: {what} needs {columns} columns beside time, has {found}")
+                raise DatasetError(f"{self.name}: {what} needs {columns} columns besides time, has {found}")
 
     @property
     def channels(self) -> dict[str, Channel]:
-        """What was measured, by name."""
+        """The measured channels by name."""
         return {name: channel for name in CHANNELS if (channel := getattr(self, name)) is not None}
 
     @property
@@ -131,24 +134,24 @@ class Trial:
 
     @property
     def ends_only(self) -> bool:
-        """Whether only the first and the last pose are known: compare at the end, do not interpolate.
+        """Whether only the first and last pose are known, so that poses cannot be interpolated.
 
-        The first rows count once where they are equal: one look at an object at rest, written twice.
+        Equal first rows count once: one observation of an object at rest, written twice.
         """
         poses = self.object_pose.values
         return bool((poses[:-1] == poses[0]).all())
 
     @property
     def has_finger(self) -> bool:
-        """Whether the finger ever comes within 1 m of the object frame; a finger farther away is none."""
+        """Whether the finger ever comes within 1 m of the object frame; farther away it counts as absent."""
         distance = self.tip_pose.values - self.object_pose.at(self.tip_pose.time)[:, :2]
         return bool(np.min(np.hypot(*distance.T)) < _FAR_AWAY)
 
     def initial_velocity(self) -> FloatArray:
         """(3,) world velocity (v_x, v_y, omega) at the first pose, m/s and rad/s.
 
-        Exactly zero for `ends_only` and where the rows do not show motion from the first row on; see
-        `initial_twist` for the robust fit and the test of significance.
+        Exactly zero if `ends_only`, or if the rows do not show motion from the first row on; see
+        `initial_twist` for the robust fit and the significance test.
         """
         if self.ends_only:
             return np.zeros(3)
@@ -157,10 +160,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation of each channel's rows, where known: m, rad, m, N.
+    """Standard deviations of each channel's rows, where known: m, rad, m, N.
 
-    One below 1 µm, 10 µrad, 1 µm or 0.1 mN, such as none in a simulation, counts as that: no model is as
-    exact.
+    Values below 1 µm, 10 µrad, 1 µm or 0.1 mN, such as 0 in a simulation, are raised to these, since no model
+    is more exact.
     """
 
     position: float | None = None
@@ -194,21 +197,21 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class KnownMaps:
-    """What is known of an object's maps before any push.
+    """What is known about an object's maps before any push.
 
-    A spread is a relative standard deviation; half of its variance is common to all cells whose value is
-    known, half each cell's own.
+    A spread is a relative standard deviation; half of its variance is common to all cells with a known value,
+    half independent for each cell.
 
     Attributes:
-        mass: (n,) of each cell, kg, NaN where it is not known; None where no cell's is.
-        friction: (n,) coefficient of each cell with the table, likewise.
-        finger_friction: coefficient with the finger.
-        mass_spread: of all masses or (n,) of each.
-        friction_spread: of all coefficients or (n,) of each.
-        finger_spread: of the finger's.
-        mass_ratios: only the ratios of masses are known; all must have one. The total is the object's mass
-            where it was weighed, else free.
-        friction_ratios: only the ratios of coefficients are known, not their size.
+        mass: (n,) of each cell, kg, NaN where not known; None if no cell's is known.
+        friction: (n,) friction coefficient of each cell with the table, likewise.
+        finger_friction: friction coefficient with the finger.
+        mass_spread: of all masses, or (n,) of each.
+        friction_spread: of all coefficients, or (n,) of each.
+        finger_spread: of the finger's coefficient.
+        mass_ratios: only the ratios of masses are known; every cell must have one. The total is the object's
+            mass if it was weighed, otherwise free.
+        friction_ratios: only the ratios of coefficients are known, not their absolute values.
 
     Raises:
         DatasetError: a value or spread that is not positive, or of another shape.
@@ -251,7 +254,7 @@ class KnownMaps:
             object.__setattr__(self, name, values)
             object.__setattr__(self, f"{name}_spread", spread)
         if any(len(shape) != 1 or shape != shapes[0] for shape in shapes):
-            raise DatasetError(f"known maps: mass and friction need one value a cell, got shapes {shapes}")
+            raise DatasetError(f"known maps: mass and friction need one value per cell, got shapes {shapes}")
         if self.finger_friction is not None:
             self._check("finger_friction", np.array([self.finger_friction]), np.array([self.finger_spread]))
 
@@ -261,20 +264,22 @@ class KnownMaps:
             raise DatasetError(f"known maps: {name} must be positive and finite, NaN where it is not known")
         if not ((spread >= LEAST_SPREAD) & (spread <= 1.0)).all():
             raise DatasetError(
-                f"known maps: a spread of {name} lies in {LEAST_SPREAD:g} to 1 (relative standard deviation)"
+                f"known maps: a spread of {name} must lie between {LEAST_SPREAD:g} and 1 (relative standard"
+                " deviation)"
             )
 
     @property
     def complete(self) -> bool:
-        """Whether every cell's mass and friction is known, at least but for their size."""
+        """Whether every cell's mass and friction is known, at least as a ratio."""
         maps = (self.mass, self.friction)
         return all(values is not None and not np.isnan(values).any() for values in maps)
 
     def check(self, cells: int, mass: float | None) -> None:
-        """Refuse what does not fit an object of some cells, and of some mass (kg) if it was weighed.
+        """Refuse known maps that do not match the object's number of cells or, if it was weighed, its mass
+        (kg).
 
         Raises:
-            DatasetError: another number of cells, or masses that contradict the scale.
+            DatasetError: a different number of cells, or masses that contradict the object's mass.
         """
         for name in ("mass", "friction"):
             values = getattr(self, name)
@@ -293,14 +298,14 @@ class KnownMaps:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is pushed, with what and on what."""
+    """Object, finger and table of a dataset."""
 
     # name, description: free text
     name: str
     description: str
     grid: CellGrid  # the object's cells and outline
     height: float | None  # of the object above the table, m, where known
-    mass: float | None  # total mass, kg, where someone weighed it
+    mass: float | None  # total mass, kg, if it was weighed
     finger_radius: float  # m
     table: Table | None  # the table top, where known
     gravity: float  # m/s²
@@ -314,12 +319,13 @@ class PushDataset(Setup):
 
     Attributes:
         trials: in the order of the experiment.
-        fingerprint: sha256 of the files that were read, wherever they lie. A selection of trials keeps it.
+        fingerprint: sha256 of the files that were read, wherever they are. A selection of trials keeps it.
         warnings: what looks wrong without making the data useless.
-        provenance: where the pushes came from and what was done to them, a sentence each.
+        provenance: where the pushes came from and what was done to them, in sentences.
 
     Raises:
-        DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
+        DatasetError: no trials, two with the same name, or a radius, gravity, height or mass that is not
+            positive.
 
     Example:
         >>> import slipmap
@@ -345,7 +351,7 @@ class PushDataset(Setup):
         if self.known is not None:
             self.known.check(len(self.grid), self.mass)
         if not self.trials:
-            raise DatasetError(f"dataset {self.name}: there are no trials; one push is the least")
+            raise DatasetError(f"dataset {self.name}: there are no trials; at least one push is needed")
         name, uses = Counter(trial.name for trial in self.trials).most_common(1)[0]
         if uses > 1:
             raise DatasetError(f"dataset {self.name}: {uses} trials are called {name}; names must differ")
@@ -361,7 +367,7 @@ class PushDataset(Setup):
         return tuple(trial for trial in self.trials if trial.role == "heldout")
 
     def with_fit_pushes(self, count: int) -> PushDataset:
-        """The same dataset with only the first `count` fit trials; every heldout trial stays.
+        """The dataset with only the first `count` fit trials and all heldout trials.
 
         Raises:
             ValueError: `count` below 1 or above the number of fit trials.
@@ -369,23 +375,23 @@ class PushDataset(Setup):
         available = len(self.fit_trials)
         if not 1 <= count <= available:
             raise ValueError(
-                f"dataset {self.name}: {count} fit trials wanted, it has {available}; take 1 to {available}"
+                f"dataset {self.name}: cannot take {count} of {available} fit trials; take 1 to {available}"
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
 
 
 def pose_times(trial: Trial) -> FloatArray:
-    """(T,) times of the object poses after the first of them, s; compare a prediction there."""
+    """(T,) times of the object poses after the first one, s, at which to compare a prediction."""
     return trial.object_pose.time - trial.start
 
 
 def finger_path(trial: Trial) -> tuple[FloatArray, FloatArray]:
     """The finger's track over exactly the time span of the object poses.
 
-    The finger keeps its own time stamps inside the span. At the span's two ends a row is added, linear
-    between neighbouring rows. Where the track begins late or ends early, the finger is held at its first or
-    last position; it is never extrapolated.
+    The finger keeps its own time stamps inside the span. A row is added at each end of the span, linear
+    between neighbouring rows. If the track begins late or ends early, the finger is held at its first or last
+    position; it is never extrapolated.
 
     Returns:
         Times (k,) after the first pose, strictly increasing from 0 to that of the last pose, s, and positions
@@ -402,7 +408,7 @@ def wrench_samples(trial: Trial) -> tuple[FloatArray, FloatArray] | None:
 
     Returns:
         Times (k,) after the first pose, s, and wrenches (k, 3) of the finger on the object, N and N·m, world
-        frame; None where force was not measured. k is 0 where no row falls into the span.
+        frame; None if force was not measured. k is 0 if no row lies in the span.
     """
     if trial.ft_wrench is None:
         return None

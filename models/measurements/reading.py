@@ -1,5 +1,5 @@
-"""Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
-a push; or bare files of pushes."""
+"""Read push measurements: a folder of the format push-dataset/1, with a dataset.yaml and one JSON file per
+push, or files of pushes without a description."""
 
 import logging
 import os
@@ -34,7 +34,7 @@ _LOG = logging.getLogger("slipmap.measurements")
 _YAML_ENDINGS = (".yaml", ".yml")
 _MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
-_MOST_NAMED = 5  # files that one warning names
+_MOST_NAMED = 5  # most files named in one warning
 _KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
 )
@@ -51,33 +51,32 @@ def read_dataset(
 ) -> PushDataset:
     """Read push measurements.
 
-    Three kinds are told apart by what lies at `path`:
+    There are three kinds, recognised by what `path` is:
 
     - a folder with a `dataset.yaml`, or that file: format push-dataset/1;
     - JSON or HDF5 files of the MIT push dataset, one or a folder of them. They store the force of the object
       on the finger, so all three columns are negated. The object is taken from `shape=...` in the file names;
-    - CSV files, one or a folder of them; see `csv_files` for the columns. The force is that of the finger on
-      the object already.
+    - CSV files, one or a folder of them; see `csv_files` for the columns. Their force is already that of the
+      finger on the object.
 
-    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file
+    MIT and CSV files do not state roles: in sorted order the last quarter (rounded down) is heldout. A file
     in which the object is carried while the finger is away is cut into its pushes there.
 
-    What does not fit is told, and kept in the dataset's `warnings`. Single pushes whose geometry is off while
-    that of the others fits are left out; what is common to all stays, for `diagnose`.
+    Inconsistencies are reported and kept in the dataset's `warnings`. Single pushes whose geometry is wrong
+    while that of the others is right are left out; errors common to all pushes stay, for `diagnose`.
 
     Args:
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
             description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.
-        progress: called after each trial with the number read and the number of all.
-        keep_all: leave no push out; of a push dataset, `keep: true` or `keep: false` beside a file in its
+        progress: called after each trial with the number read and the total.
+        keep_all: leave no push out; in a push dataset, `keep: true` or `keep: false` beside a file in
             `trials` forces either for that push.
-        maps: YAML file of what is known of the object's maps, instead of what a dataset.yaml says under
-            `known`.
-        tell: called with each warning; Python's logging by default, which shows it.
+        maps: YAML file of what is known about the object's maps, instead of `known` in a dataset.yaml.
+        tell: called with each warning; by default Python's logging, which shows it.
 
     Raises:
-        DatasetError: for every fault in the files, naming file, trial and row.
+        DatasetError: any fault in the files; the message names file, trial and row.
 
     Example:
         >>> import tempfile
@@ -102,14 +101,14 @@ def _read(
     source = Path(path)
     try:
         if not source.exists():
-            raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {_KINDS}")
+            raise DatasetError(f"{str(source)!r}: there is no such file or folder; expected {_KINDS}")
         is_folder = source.is_dir()
         description = source / DESCRIPTION_FILE if is_folder else source
         if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
             return _read_files(source, object_name, progress, keep_all)
         if object_name is not None:
             raise DatasetError(
-                f"{description}: a push dataset describes its object itself; name none beside it"
+                f"{description}: a push dataset describes its own object; leave out the object's name"
             )
         return _read_push_format(description, progress, keep_all)
     except OSError as error:
@@ -117,14 +116,14 @@ def _read(
 
 
 def check_format(document: dict[str, Any], where: str) -> None:
-    """Refuse a description whose `format` is missing or of another kind.
+    """Refuse a description whose `format` is missing or different.
 
     Raises:
-        DatasetError: with the format that this project reads.
+        DatasetError: the message names the format that can be read.
     """
-    found = parsing.required(document, "format", where, f"a push dataset says `format: {FORMAT}`")
+    found = parsing.required(document, "format", where, f"a push dataset needs `format: {FORMAT}`")
     if found != FORMAT:
-        raise DatasetError(f"{where}: format is {parsing.shown(found)}; only {FORMAT} can be read")
+        raise DatasetError(f"{where}: format is {parsing.shown(found)}, but only {FORMAT} can be read")
 
 
 def _assembled(
@@ -139,10 +138,10 @@ def _assembled(
     keep: Callable[[Trial], bool | None],
     assign: Callable[[list[Trial]], list[Trial]] | None = None,
 ) -> PushDataset:
-    """Dataset of files in a folder; each is read by its name, role, content and path.
+    """Assemble a dataset from files in a folder, each read from its name, role, content and path.
 
-    `keep` says whether a trial stays whatever the checks say, goes, or is judged (None). `assign` gives roles
-    to all trials where files may hold several pushes.
+    `keep` tells whether a trial stays whatever the checks find, goes, or is judged (None). `assign` gives all
+    trials their roles if files may contain several pushes.
     """
     trials: list[Trial] = []
     found: list[tuple[str, str, str]] = []
@@ -178,7 +177,7 @@ def _assembled(
 
 
 def _gathered(found: Sequence[tuple[str, str, str]]) -> list[str]:
-    """Doubts about files of these paths and names, one a kind: files that share it are named in one text."""
+    """Warnings about files with these paths and names, one per kind, which names all files that share it."""
     kinds: dict[str, list[tuple[str, str, str]]] = {}
     for path, name, doubt in found:
         place, _, fault = doubt.removeprefix(path).partition(": ")
@@ -219,7 +218,7 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
 def _entries(
     document: dict[str, Any], folder: Path, where: str, warnings: list[str]
 ) -> tuple[list[Entry], dict[str, bool]]:
-    """The trials of a description, and what it says about keeping some of them."""
+    """The trials listed in a description, and which of them it says to keep or drop."""
     listed = parsing.required(
         document, "trials", where, "list the trials, [{file: trials/000.json, role: fit}]"
     )
@@ -253,12 +252,12 @@ def _entries(
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:
-    """The resolved path of a file named relative to a folder; it must not lie outside, by a link either."""
+    """The resolved path of a file named relative to a folder; it must not lie outside, not even by a link."""
     try:
         path = (folder / name).resolve()
         root = folder.resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise DatasetError(f"{where}: {parsing.shown(name)} is no usable file name ({error})") from None
+        raise DatasetError(f"{where}: {parsing.shown(name)} is not a usable file name ({error})") from None
     if Path(name).is_absolute() or not path.is_relative_to(root):
         raise DatasetError(
             f"{where}: {parsing.shown(name)} lies outside the dataset's folder; trial files belong inside it"
@@ -272,7 +271,7 @@ def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Tri
     return trial, parsing.unknown_keys(arrays, CHANNELS, where) + doubts
 
 
-# Bare files of pushes, whose object is named or described elsewhere.
+# Files of pushes whose object is named or described elsewhere.
 
 
 def _read_files(
@@ -290,7 +289,7 @@ def _read_files(
         warnings += mit_files.surface_warnings(files)
         read = _one(mit_files.read_mit_trial)
     else:
-        raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
+        raise DatasetError(f"{source}: this kind of file cannot be read; expected {_KINDS}")
     entries: list[Entry] = [(file.name, "fit") for file in files]
     return _assembled(
         setup, fingerprint, warnings, source, files[0].parent, entries, read, progress,
@@ -299,7 +298,7 @@ def _read_files(
 
 
 def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Reader:
-    """A reader of files that hold one push."""
+    """A reader of files that contain one push each."""
 
     def read_all(name: str, role: Role, content: bytes, where: str) -> tuple[list[Trial], list[str]]:
         trial, doubts = read(name, role, content, where)
@@ -309,7 +308,7 @@ def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Re
 
 
 def last_held_out(trials: list[Trial]) -> list[Trial]:
-    """Trials of which the last quarter, rounded down, judges and the others teach."""
+    """Trials with the last quarter, rounded down, held out."""
     learned = len(trials) - len(trials) // _HELDOUT_SHARE
     return trials[:learned] + [replace(trial, role="heldout") for trial in trials[learned:]]
 
@@ -325,10 +324,10 @@ def _record_files(folder: Path) -> list[Path]:
         if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
-        raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
+        raise DatasetError(f"{folder}: contains no measurements; expected {_KINDS}")
     if len({_is(file, csv_files.CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
-            f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
+            f"{folder}: contains both CSV and MIT push files; put each kind into a separate folder"
         )
     return files
 
@@ -337,29 +336,29 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
     for folder in file.resolve().parents[:2]:
         if (folder / DESCRIPTION_FILE).exists():
             raise DatasetError(
-                f"{file}: belongs to the push dataset {folder}, where forces have the opposite sign of MIT"
-                " files; read that folder instead"
+                f"{file}: belongs to the push dataset {folder}, whose forces have the opposite sign to"
+                " those of MIT files; read that folder instead"
             )
 
 
 def _setup(
     object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
 ) -> tuple[Setup, list[str], csv_files.CsvColumns]:
-    """Setup of a named shape or of a YAML file, warnings, and columns of CSV files.
+    """Setup from a named shape or a YAML file, warnings, and columns of CSV files.
 
-    `named` is what the measurements' own names say.
+    `named` is the shape in the measurements' own file names.
     """
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
-            f"{source}: says nothing of the object that was pushed; name with --object (in Python"
-            f" object_name) a shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML"
-            f" file with the keys object and finger of a {DESCRIPTION_FILE}"
+            f"{source}: does not say which object was pushed; give --object (in Python object_name) with a"
+            f" shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML file with the"
+            f" keys object and finger of a {DESCRIPTION_FILE}"
         )
     if not _is_description(chosen) and named is not None and named != chosen:
         mit_files.mit_shape(chosen, str(source))
         raise DatasetError(
-            f"{source}: the file names say shape={named}, not {chosen}; leave the object's name out"
+            f"{source}: the file names say shape={named}, not {chosen}; leave out the object's name"
         )
     document = object_document(chosen, fingerprint, str(source))
     where = chosen if _is_description(chosen) else str(source)
@@ -373,7 +372,7 @@ def _is_description(chosen: str) -> bool:
 
 
 def object_document(chosen: str, fingerprint: Fingerprint, where: str = "--object") -> dict[str, Any]:
-    """The keys of a dataset.yaml that describe an object: of a YAML file, or of a shape of the MIT dataset.
+    """The keys of a dataset.yaml that describe an object, from a YAML file or for a shape of the MIT dataset.
 
     Raises:
         DatasetError: the file cannot be read, or there is no such shape.

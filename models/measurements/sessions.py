@@ -1,4 +1,4 @@
-"""Recordings of a whole session: where the object moves while the finger is away, someone carried it."""
+"""Cut recordings of a whole session: an object that moves while the finger is away was carried by someone."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,29 +12,29 @@ from slipmap.models.measurements.push_dataset import Channel, DatasetError, Setu
 from slipmap.models.physics.cell_grid import FloatArray
 
 _AWAY = 0.02  # m between the finger's rim and the object
-_CARRIED = 0.01  # m that the object moves meanwhile
-_SPEED = 0.015  # m/s of an object that does not rest
+_CARRIED = 0.01  # m that a carried object moves
+_SPEED = 0.015  # m/s above which the object does not rest
 _WINDOW = 0.1  # s
 _PAUSE = 0.1  # s of rest between two motions
-_BLIND = 0.2  # s without a pose, in which a motion is one of its own
-_FEWEST_ROWS = 6  # of a push
+_BLIND = 0.2  # s without a pose; a motion in such a gap counts separately
+_FEWEST_ROWS = 6  # in a push
 _PUSHED = 2e-3  # m that the object moves in a push
-_SLOW = (3e-3, 0.3)  # m/s and s, that tell a slow push from rest
+_SLOW = (3e-3, 0.3)  # speed, m/s, and window, s, that distinguish a slow push from rest
 _LEAVES = 5e-3  # m of air between two pushes
-_MARGIN = 0.5  # s that are kept before and after the object moves
+_MARGIN = 0.5  # s kept before and after the object moves
 
 
 class Carry(NamedTuple):
-    """A motion of the object with the finger away."""
+    """A motion of the object while the finger is away."""
 
     first: int  # last row at rest before it
     last: int  # first row after it
-    distance: float  # m, or of the outline's farthest point where it turns
+    distance: float  # of the object frame, or if larger, of the outline's farthest point by rotation, m
     time: float  # s
 
 
 def carries(setup: Setup, trial: Trial) -> list[Carry]:
-    """Motions that begin at rest with the finger over 20 mm away, beside some that begin at the finger."""
+    """Motions that begin at rest with the finger over 20 mm away, if others begin at the finger."""
     if not trial.has_finger:
         return []
     runs = _motions(setup, trial)
@@ -59,8 +59,8 @@ def _motions(
     """The last row at rest before each motion of the object, and the first row after it.
 
     Args:
-        speed: of an object that does not rest, m/s,
-        window: over which it is taken, s.
+        speed: above which the object does not rest, m/s.
+        window: over which the speed is taken, s.
     """
     pose = trial.object_pose
     if trial.ends_only or len(pose.time) < _FEWEST_ROWS:
@@ -79,12 +79,12 @@ def _motions(
 
 
 def carried_text(carry: Carry) -> str:
-    """What happened, in words for errors and warnings."""
+    """Description of a carry for errors and warnings."""
     return f"the object moves {carry.distance:.1g} m while the finger is away at t = {carry.time:.1f} s"
 
 
 def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
-    """Each trial without the stretches in which the object is carried, as pushes called file#1 and on.
+    """Cut each trial where the object is carried, into pushes named file#1 and so on.
 
     Raises:
         DatasetError: nothing is left of a trial.
@@ -107,17 +107,17 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         warnings.append(
             f"{where}: {carried_text(found[0])}"
             + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
-            + f"; the recording is cut there into {len(pushes)} pushes"
+            + f"; the recording was cut there into {len(pushes)} pushes"
         )
         result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings
 
 
 def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
-    """A recording of several pushes cut where the object rests and the finger leaves it between two motions.
+    """Cut a recording of several pushes where the object rests and the finger leaves it between two motions.
 
-    Each push begins half a second before its object moves and ends half a second after, and is called
-    name#1 and on. A recording of one push comes back as it is.
+    Each push begins half a second before the object moves, ends half a second after, and is named name#1 and
+    so on. A recording of one push is returned unchanged.
     """
     runs = _motions(setup, trial, *_SLOW) if trial.has_finger else []
     pose, reach = trial.object_pose, _reach(setup)
@@ -153,7 +153,7 @@ def _named(trial: Trial, name: str) -> Trial:
 
 
 def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | None:
-    """What was measured from `begin` to `end`; None where that is no push."""
+    """The part of a trial from `begin` to `end`; None if that is not a push."""
     channels = {name: _part(channel, begin, end) for name, channel in trial.channels.items()}
     pose, tip = channels["object_pose"], channels["tip_pose"]
     if pose is None or tip is None or len(pose.time) < _FEWEST_ROWS:
@@ -169,7 +169,7 @@ def _part(channel: Channel, begin: float, end: float) -> Channel | None:
 
 
 def _displacement(one: FloatArray, other: FloatArray, reach: float) -> FloatArray:
-    """(…) how far a point at the outline moves from one pose (…, 3) to another, m."""
+    """(…) distance that a point at the outline moves from one pose (…, 3) to another, m."""
     shift = np.hypot(one[..., 0] - other[..., 0], one[..., 1] - other[..., 1])
     return np.asarray(shift + reach * np.abs(angle_between(one[..., 2], other[..., 2])))
 

@@ -1,6 +1,6 @@
-"""The part of a dataset.yaml that is not a trial: object, finger, table, gravity and sensor noise.
+"""The part of a dataset.yaml besides the trials: object, finger, table, gravity and sensor noise.
 
-Its numbers are declared once, with their units and limits; reading, checking and writing go by that.
+Its numbers are declared once, with units and limits, for reading, checking and writing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,7 +16,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise", "known")
 
-_DEVIATION = "{where}: a standard deviation lies in 0 to {high:g}, got {value}"
+_DEVIATION = "{where}: a standard deviation must lie between 0 and {high:g}, got {value}"
 _THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
 _LENGTH = Number("m")
 _OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
@@ -32,20 +32,20 @@ _NOISE = {
 _DEFAULT_CELLS = 60
 _STANDARD_GRAVITY = 9.81  # m/s²
 _SMALLEST_EXTENT = 1e-3  # m
-_LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
-# What is unusual, but not refused.
+_LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers must be mm
+# Limits beyond which a value is unusual, but not refused.
 _HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
 _MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
 _NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
 def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tuple[Setup, list[str]]:
-    """Setup from the keys of a dataset.yaml, and what looks wrong about it.
+    """Setup from the keys of a dataset.yaml, and warnings about it.
 
     Args:
         document: the parsed mapping; keys beyond `SETUP_KEYS` are the caller's.
-        where: the file, for error texts.
-        default_name: name where the document gives none.
+        where: the file, for error messages.
+        default_name: name if the document gives none.
 
     Raises:
         DatasetError: a missing key, a wrong type, a number out of range, an outline that crosses itself.
@@ -59,7 +59,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     radius = _FINGER["radius"].read(finger.get("radius"), f"{where}: finger.radius")
     gravity = _GRAVITY.read(document.get("gravity", _STANDARD_GRAVITY), f"{where}: gravity")
     if not _NEAR_GRAVITY[0] <= gravity <= _NEAR_GRAVITY[1]:
-        warnings.append(f"{where}: gravity is {gravity:g} m/s²; 9.81 was to be expected")
+        warnings.append(f"{where}: gravity is {gravity:g} m/s²; expected about 9.81")
     name = parsing.text(document.get("name", default_name), f"{where}: name")
     description = parsing.text(document.get("description", ""), f"{where}: description")
     measured = _numbers(shape, _OBJECT, f"{where}: object")
@@ -75,7 +75,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
-    """The keys of a dataset.yaml that `parse_setup` reads a setup from."""
+    """The keys of a dataset.yaml from which `parse_setup` reads a setup."""
     document: dict[str, Any] = {
         "name": setup.name,
         "description": setup.description,
@@ -168,13 +168,13 @@ def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
         )
     if len(outline) > 1 and np.array_equal(outline[0], outline[-1]):
         warnings.append(
-            f"{where}: the last corner repeats the first and is left out; the outline closes itself"
+            f"{where}: the last corner repeats the first and is left out; the outline closes by itself"
         )
         outline = outline[:-1]
     repeated = (outline == np.roll(outline, 1, axis=0)).all(axis=1)
     if len(outline) > 1 and repeated.any():
         first = int(np.flatnonzero(repeated)[0])
-        warnings.append(f"{where}, row {first}: the same corner as the one before; it is left out")
+        warnings.append(f"{where}, row {first}: repeats the corner before it and is left out")
         outline = outline[~repeated]
     _refuse_extent(outline, where)
     return outline
@@ -187,7 +187,7 @@ def _refuse_extent(points: FloatArray, where: str) -> None:
             f"{where}: reaches {extent:g} m from the object frame; lengths are in m, divide by 1000?"
         )
     if 0.0 < extent < _SMALLEST_EXTENT:
-        raise DatasetError(f"{where}: is only {extent:g} m large; lengths are in m, multiply by 1000?")
+        raise DatasetError(f"{where}: is only {extent:g} m across; lengths are in m, multiply by 1000?")
 
 
 def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
@@ -204,7 +204,7 @@ def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
             f"{where}: {len(outside)} of {len(grid)} centres lie outside the outline, first row {outside[0]}"
         )
     repeated = len(np.unique(grid.centers, axis=0)) < len(grid)
-    # To the nearest that is not at the same place.
+    # Distance to the nearest centre at a different place.
     _, apart = shapely.STRtree(points).query_nearest(points, exclusive=True, return_distance=True)
     if repeated or np.min(apart, initial=np.inf) < 0.5 * grid.width:
         warnings.append(f"{where}: some cells overlap by half a cell or more; each should be listed once")

@@ -1,4 +1,4 @@
-"""Pushes of an object whose maps are known, recorded as sensors would: for demonstrations and checks."""
+"""Simulated pushes of an object with known maps, recorded as sensors would, for demonstrations and checks."""
 
 import hashlib
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def record_pushes(
 ) -> PushDataset:
     """Simulate pushes and record them with independent normal noise on every row.
 
-    A row of force is the mean over 1 / rate, stamped in the middle, as a sensor with a filter gives it.
+    A row of force is the mean over 1 / rate, stamped at its midpoint, as from a sensor with a filter.
 
     Args:
         slider: the object's model.
@@ -40,10 +40,10 @@ def record_pushes(
         pushes: B pushes by a finger, each from its own start pose.
         rng: source of the noise.
         noise: standard deviations; None is no noise. The torque has that of the force times the radius.
-        heldout: so many of the last pushes are for judging, the others for learning.
-        rate: rows a second of every channel.
+        heldout: number of last pushes to hold out; the others are for learning.
+        rate: rows per second of every channel.
         name, description: of the dataset.
-        height, mass: of the object, m and kg, if the dataset is to tell them.
+        height, mass: of the object, m and kg, if the dataset is to state them.
 
     Raises:
         ValueError: several models, a push without a finger, a number of held-out pushes that does not fit, or
@@ -60,10 +60,11 @@ def record_pushes(
         'fit'
     """
     if len(maps) != 1:
-        raise ValueError(f"recording: wants the true maps alone, one model, got {len(maps)}")
+        raise ValueError(f"recording: needs exactly one model, the true maps, got {len(maps)}")
     if not 0 <= heldout <= len(pushes) or not pushes:
         raise ValueError(
-            f"recording: {heldout} of {len(pushes)} pushes cannot be held out; take 0 to all of one or more"
+            f"recording: cannot hold out {heldout} of {len(pushes)} pushes; it takes at least one push, of"
+            " which 0 to all may be held out"
         )
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"recording: rate must be positive, got {rate} Hz")
@@ -105,15 +106,15 @@ def record_pushes(
 
 
 def _sampled(push: Push, rate: float, index: int) -> Push:
-    """The push with poses at `rate` and the force of every step."""
+    """The push with poses at `rate` and forces at every step."""
     if not np.isfinite(push.tip).all():
-        raise ValueError(f"recording: push {index} has no finger; a recorded push needs one")
+        raise ValueError(f"recording: push {index} has no finger, but a recorded push needs one")
     steps = len(push.tip) - 1
     rows = np.arange(int(np.floor(steps * push.h * rate * (1 + 1e-12))) + 1) / rate
     if len(rows) < 3 or push.h * rate > 1.0:
         raise ValueError(
             f"recording: push {index} lasts {steps * push.h:.3g} s in steps of {push.h:.3g} s; at {rate:g} Hz"
-            " there must be three rows or more, and a step for each"
+            " there must be at least three rows, and a step for each"
         )
     return replace(push, pose_times=rows, force_times=_ends(push)[1:] - 0.5 * push.h)
 

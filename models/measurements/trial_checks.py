@@ -1,5 +1,5 @@
-"""Trials out of tables of rows, as files hold them, and checks of them against geometry and units: what
-cannot be used is refused, what looks wrong is said."""
+"""Build trials from tables of rows, and check them against geometry and units: unusable ones are refused,
+suspicious ones reported."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ from slipmap.models.measurements.sessions import carried_text, carries
 from slipmap.models.physics.cell_grid import FloatArray
 
 COLUMNS = 4
-"""Of every table: t, x, y, theta or t, fx, fy, tau."""
+"""Columns of every table: t, x, y, theta or t, fx, fy, tau."""
 
 _LARGEST_VALUE = 1e6  # m, rad, N
 _LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
@@ -37,26 +37,26 @@ _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
 
 _LARGEST_SPEED = 10.0  # m/s
-_SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row by row speeds
+_SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row-by-row speeds
 _SLOWEST_RATE = 2.0  # s between rows
 _NOTABLE_MOTION = 5e-3  # m
-_TOUCH_RADII = 3.0  # finger radii of air beyond which a finger never touched
+_TOUCH_RADII = 3.0  # finger radii of air beyond which the finger did not touch
 _EARLY_END = 0.1  # s
 _SLOW_TIP = 5e-3  # m/s
 _THROUGH = 0.01  # m
-_MOST_ROWS = 500  # of a track that are compared with the outline
-_LONERS = 10  # one push in so many may be left out, or one,
-_FEWEST_TRIALS = 5  # of so many or more
-_ALONE = 1.5  # times as deep as the others
+_MOST_ROWS = 500  # of a track, compared with the outline
+_LONERS = 10  # one push in this many may be left out, at least one,
+_FEWEST_TRIALS = 5  # if there are at least this many
+_ALONE = 1.5  # times as deep as the other pushes
 
 _FRAME_WRONG = ("sign", "turn")
-"""Kinds of causes by which the object's frame is wrong, which no effect explains."""
+"""Kinds of causes that mean a wrong object frame, which no effect explains."""
 
 _PULLS = (
-    "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger on the"
-    " object, is it given the other way round?"
+    "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
+    " on the object; is its sign reversed?"
 )
-_FORCED = "`keep: true` beside its file in dataset.yaml, or keep_all=True in Python, has it stay"
+_FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
 
 
 def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
@@ -71,19 +71,19 @@ def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
 def trial_from_tables(
     name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = _LONGEST_PUSH
 ) -> tuple[Trial, list[str]]:
-    """Trial of the tables `object_pose`, `tip_pose` and, where measured, `ft_wrench`.
+    """Build a trial from the tables `object_pose`, `tip_pose` and, if measured, `ft_wrench`.
 
-    Rows in which a used column is NaN are dropped, and so are rows of a tracker that cannot be true, see
-    `sound_rows`; theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
+    Rows in which a used column is NaN are dropped, as are tracker rows that cannot be true (see
+    `sound_rows`); theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
     empty `ft_wrench` counts as not measured.
 
     Args:
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
-        where: the file, for error texts.
-        longest: time that the trial may last, s.
+        where: the file, for error messages.
+        longest: longest duration of the trial, s.
 
     Returns:
-        The trial and what looks wrong about it.
+        The trial and warnings about it.
 
     Raises:
         DatasetError: missing or empty tables, infinite or absurd numbers, time that does not increase.
@@ -93,7 +93,7 @@ def trial_from_tables(
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
     pose, rows = _channel(tables, "object_pose", where)
     warnings = _degrees(pose, where)
-    if warnings:  # then what looks like half a turn is half a degree
+    if warnings:  # angles in degrees: an apparent half turn may be half a degree
         pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
     else:
         pose, warnings = _sound(pose, rows, f"{where}, object_pose")
@@ -109,12 +109,12 @@ def trial_from_tables(
 
 
 def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> None:
-    """Raises DatasetError where a push lasts longer than `longest` s."""
+    """Raise DatasetError if a push lasts longer than `longest` s."""
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:
         raise DatasetError(
-            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {longest:g} s;"
-            " times are in s, were these milliseconds? Cut a long recording into its pushes"
+            f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
+            " times must be in s; were these milliseconds? Cut a long recording into its pushes"
         )
 
 
@@ -133,21 +133,21 @@ def check_trials(
     where: str,
     keep: Callable[[Trial], bool | None] = lambda trial: None,
 ) -> tuple[list[Trial], list[str]]:
-    """The trials that stay, and warnings, one a kind of fault, each naming its trials.
+    """The trials that stay, and one warning per kind of fault, naming its trials.
 
-    What is off in all pushes alike is told and kept: an effect may explain it. Single pushes that are off
-    while the others fit are left out.
+    Faults common to all pushes are reported and kept, since an effect may explain them. Single faulty pushes
+    are left out while the others are sound.
 
     Args:
         keep: True for a trial that stays whatever is found, False for one that goes, None to judge it.
 
     Raises:
         DatasetError: two equal files, channels without a common time, or pushes in which the object is
-            carried about while the finger is away.
+            carried while the finger is away.
     """
     chosen = [trial for trial in trials if keep(trial) is not False]
     if not chosen:
-        raise DatasetError(f"{where}: every trial says `keep: false`; one push is the least")
+        raise DatasetError(f"{where}: every trial says `keep: false`; at least one push is needed")
     warnings = _copies(chosen, where)
     found: dict[str, list[str]] = {}
     for trial in chosen:
@@ -155,14 +155,14 @@ def check_trials(
             found.setdefault(fault, []).append(trial.name)
     seen = []
     for trial in chosen:
-        # A frozen tracker and degrees for rad are told already; what follows from them is not.
+        # A frozen tracker or degrees for rad are reported already; do not report their consequences.
         if not _stands_still(setup, trial) and not _degrees(trial.object_pose, ""):
             rows = contact_rows(setup, trial)
             seen += [rows] if rows is not None else []
     odd, told, frame_wrong = _judged(setup, chosen, seen, where, lambda trial: bool(keep(trial)))
     complaint = None if frame_wrong else force_complaint(setup, seen)
     if complaint is not None:
-        found.pop(_PULLS, None)  # of which that is the cause
+        found.pop(_PULLS, None)  # the complaint is its cause
         told.append(f"{where}: {complaint}")
     warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
     chosen = [trial for trial in chosen if trial.name not in odd]
@@ -172,16 +172,16 @@ def check_trials(
 
 
 def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
-    """Whether the measured force points where no friction of a finger allows, in most of some trials."""
+    """Whether the measured force points where no finger friction allows, on most rows of these trials."""
     seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
     return force_complaint(setup, seen) is not None
 
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
-    """What says that theta's sign is wrong, or theta off by a quarter or half turn, as a clause; else None.
+    """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn; else None.
 
-    That is where the finger goes into the object in half of the pushes or more, and would not but for this.
-    No effect explains it.
+    The finger then goes into the object in at least half of the pushes, and would not if theta were
+    corrected. No effect explains this.
     """
     seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
     deep = [rows for rows in seen if _too_deep(setup, rows)]
@@ -195,18 +195,18 @@ def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
 
 
 def _too_deep(setup: Setup, rows: ContactRows) -> bool:
-    """Whether the finger goes deeper than calibration allows."""
+    """Whether the finger goes deeper than calibration errors allow."""
     return max(rows.depth, -float(rows.gap[0])) > _deepest(setup)
 
 
 def _deepest(setup: Setup) -> float:
-    """Depth that calibration allows, m."""
+    """Depth that calibration errors allow, m."""
     return CALIBRATION_ERROR + 3.0 * float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0))
 
 
 def _explained(deep: Sequence[ContactRows], fixed: Sequence[ContactRows], cause: Cause) -> str:
-    """How deep the finger goes, and what would mend it."""
-    return f"{_deep_text(deep, len(fixed))}; it would be {_depth_text(fixed)} but for one thing: {cause.text}"
+    """How deep the finger goes, and the correction that would fix it."""
+    return f"{_deep_text(deep, len(fixed))}; one correction would make it {_depth_text(fixed)}: {cause.text}"
 
 
 def _judged(
@@ -216,10 +216,10 @@ def _judged(
     where: str,
     stays: Callable[[Trial], bool],
 ) -> tuple[set[str], list[str], bool]:
-    """Names of trials to leave out, what is said of them and of all, and whether the object's frame is wrong.
+    """Names of trials to leave out, warnings, and whether the object's frame is wrong.
 
-    A push is left out where its finger goes deeper than calibration allows after what is common to all is
-    taken off, or where the object is carried, while that is so in at most a tenth of the pushes.
+    A push is left out if its finger goes deeper than calibration errors allow after the common cause is
+    corrected, or if the object is carried, as long as this holds for at most a tenth of the pushes.
     """
     carried = {trial.name: found[0] for trial in trials if (found := carries(setup, trial))}
     few = max(1, len(trials) // _LONERS) if len(trials) >= _FEWEST_TRIALS else 0
@@ -230,7 +230,7 @@ def _judged(
     frame_wrong = False
     if faults and (len(faults) > few or (fit and fit <= set(faults))):
         for trial in trials:
-            # Where the finger goes into the object too, the frames are wrong, and it may not be away.
+            # If the finger also goes into the object, the frames are wrong, and it may not be away.
             if trial.name in faults and not stays(trial) and not deep:
                 raise DatasetError(
                     f"{where}: {trial.name}: {faults[trial.name]}; cut the recording into its pushes"
@@ -238,7 +238,7 @@ def _judged(
         first, *others = faults
         more = f" (and {len(others)} more pushes)" if others else ""
         warnings.append(
-            f"{first}{more}: {faults[first]}; is it a recording of several pushes, or a frame wrong?"
+            f"{first}{more}: {faults[first]}; is this a recording of several pushes, or is a frame wrong?"
         )
         faults = {}
     if deep:
@@ -262,20 +262,20 @@ def _judged(
             for rows in alone:
                 verb, where_ = ("starts", "inside") if _from_start(rows) else ("goes", "into")
                 faults[rows.trial.name] = (
-                    f"the finger {verb} {_depth_text(alone)} {where_} the object, while it fits in"
+                    f"the finger {verb} {_depth_text(alone)} {where_} the object, but contact fits in"
                     f" {len(pushes) - len(deep)} of {len(pushes)} pushes"
                 )
             deep = [rows for rows in deep if rows not in alone]
         if deep and cause is None:
             warnings.append(
-                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is"
-                " theta's sign, the frame, the clock or the finger's point right, and finger.radius and the"
-                " outline?"
+                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
+                " check theta's sign, the frames, the clocks, which point of the finger was recorded,"
+                " finger.radius and the outline"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
     for end, names in (
         (f"left out; {_FORCED}", [name for name in faults if name in odd]),
-        ("kept, as was asked for", [name for name in faults if name not in odd]),
+        ("kept as requested", [name for name in faults if name not in odd]),
     ):
         kinds: dict[str, list[str]] = {}
         for name in names:
@@ -302,7 +302,7 @@ def _depth_text(pushes: Sequence[ContactRows]) -> str:
 
 
 def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channel, list[str]]:
-    """A tracker's channel without the rows that cannot be true, and what was wrong with them."""
+    """A tracker's channel without the rows that cannot be true, and warnings about these."""
     kept, found, stays = sound_rows(channel.time, channel.values)
     warnings = [
         f"{where}, row{'s' if len(bad) > 1 else ''} {parsing.listed([str(rows[row]) for row in bad])}:"
@@ -310,36 +310,36 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
         for fault, bad in found.items()
     ]
     if stays:
-        warnings.append(f"{where}: {stays}; is that true, or does the tracker's frame jump?")
+        warnings.append(f"{where}: {stays}; did it really move, or did the tracker's frame jump?")
     return Channel(channel.time[kept], channel.values[kept]), warnings
 
 
 def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:
-    """A channel, and which rows of the table it has."""
+    """A channel, and the indices of its rows in the table."""
     where = f"{where}, {name}"
     columns = len(CHANNELS[name])
     rows = tables[name][:, : columns + 1]
-    if name == "ft_wrench":  # the torque may be missing: nothing that is learnt goes by it
+    if name == "ft_wrench":  # the torque may be missing, since nothing is learnt from it
         measured = np.isfinite(rows[:, :3]).all(axis=1)
         rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
     if len(rows) == 0:
-        raise DatasetError(f"{where}: has no rows; the trial is empty, take it out of the dataset")
+        raise DatasetError(f"{where}: has no rows; remove this empty trial from the dataset")
     _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")
     largest = np.array([_LARGEST_TIME] + columns * [_LARGEST_VALUE])
     _refuse(np.abs(rows) > largest, rows, where, "is too large for s, m, rad, N; check the units")
     kept = np.flatnonzero(np.isfinite(rows).all(axis=1))
     if len(kept) == 0:
         raise DatasetError(
-            f"{where}: every row holds NaN; nothing was measured, take the trial or channel out"
+            f"{where}: every row contains NaN, so nothing was measured; remove the trial or the channel"
         )
     time = rows[kept, 0]
     late = np.flatnonzero(np.diff(time) < _SHORTEST_STEP)
     if len(late):
         before, row = kept[late[0]], kept[late[0] + 1]
-        what = "goes back behind" if time[late[0] + 1] < time[late[0]] else "repeats"
+        what = "is earlier than" if time[late[0] + 1] < time[late[0]] else "repeats"
         raise DatasetError(
             f"{where}, row {row}: time {time[late[0] + 1]} s {what} that of row {before}, {time[late[0]]} s;"
-            " sort the rows and leave repeated ones out"
+            " sort the rows and remove repeated ones"
         )
     return Channel(time, rows[kept, 1:]), kept
 
@@ -352,14 +352,14 @@ def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str
 
 
 def _degrees(pose: Channel, where: str) -> list[str]:
-    """Raw theta beyond two turns, or turning by more than one where the object hardly moves."""
+    """Warning if raw theta exceeds two turns, or changes by more than one while the object hardly moves."""
     theta = pose.values[:, 2]
     path = float(np.sum(np.hypot(*np.diff(pose.values[:, :2], axis=0).T)))
     swept = float(np.ptp(theta))
     if np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN or (swept > 1.05 * _WHOLE_TURN and path < 1.0):
         return [
             f"{where}, object_pose: theta runs from {theta.min():.3g} to {theta.max():.3g} while the object"
-            f" moves {path:.2g} m; angles are in rad, were these degrees?"
+            f" moves {path:.2g} m. Angles must be in rad; were these degrees?"
         ]
     return []
 
@@ -373,7 +373,7 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     stays = len(trial.tip_pose.time) == 1 or not trial.has_finger
     if moved and stays and not trial.initial_velocity().any():
         yield "a resting object begins to move, but " + (
-            "tip_pose has one row; a finger that stays pushes nothing"
+            "tip_pose has only one row, and a finger that does not move pushes nothing"
             if trial.has_finger
             else "no finger is within 1 m; is the tip given in m?"
         )
@@ -387,20 +387,20 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     if _fastest(trial.tip_pose) > _LARGEST_SPEED:
         yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
     if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
-        yield "the object moves, but the tip never touches its outline; is one of them in a wrong frame?"
+        yield "the object moves, but the tip never touches its outline; is one of them in the wrong frame?"
     if _ends_early(trial):
-        yield "the tip's rows end while it still moves; it is held at its last position from there on"
+        yield "the tip's rows end while it is still moving; it is held at its last position from there on"
 
 
 def _stands_still(setup: Setup, trial: Trial) -> bool:
-    """Whether not a digit of the pose changes, and the finger's rim goes 10 mm and more into the object."""
+    """Whether the pose never changes while the finger's rim goes 10 mm or more into the object."""
     if len(trial.object_pose.time) < 3 or np.ptp(trial.object_pose.values, axis=0).any():
         return False
     return bool(np.min(gaps(setup, trial.tip_pose.values, trial.object_pose.values[0])) < -_THROUGH)
 
 
 def _pulls(setup: Setup, trial: Trial) -> bool:
-    """Whether the force that goes along with the finger works against it over most of its way."""
+    """Whether the force opposes the finger's motion along most of its path."""
     if trial.ft_wrench is None or len(trial.tip_pose.time) < 2:
         return False
     times, force = trial.ft_wrench.time, trial.ft_wrench.values[:, :2]
@@ -412,7 +412,7 @@ def _pulls(setup: Setup, trial: Trial) -> bool:
 
 
 def _copies(trials: Sequence[Trial], where: str) -> list[str]:
-    """Warnings of equal pushes in one file; those in two files are refused."""
+    """Warnings about equal pushes in one file; equal pushes in two files are refused."""
     seen: dict[bytes, str] = {}
     warnings = []
     for trial in trials:
@@ -423,10 +423,10 @@ def _copies(trials: Sequence[Trial], where: str) -> list[str]:
         first = seen.setdefault(digest.digest(), trial.name)
         if first == trial.name:
             continue
-        fault = f"{where}: {trial.name} holds the same measurement as {first}; a push counts once"
+        fault = f"{where}: {trial.name} holds the same measurement as {first}"
         if "#" not in first or first.rpartition("#")[0] != trial.name.rpartition("#")[0]:
-            raise DatasetError(f"{fault}, remove one")
-        warnings.append(f"{fault}, is one a copy?")
+            raise DatasetError(f"{fault}; remove one of them")
+        warnings.append(f"{fault}; is one a copy?")
     return warnings
 
 
@@ -443,7 +443,7 @@ def _refuse_foreign_clocks(trial: Trial, where: str) -> None:
 
 
 def _moved(setup: Setup, trial: Trial) -> bool:
-    """Whether a point of the outline ends or passes 5 mm and five standard deviations from where it began."""
+    """Whether a point of the outline moves by more than 5 mm and five standard deviations."""
     pose = trial.object_pose.values
     reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
     shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + reach * np.abs(pose[:, 2] - pose[0, 2])
@@ -453,7 +453,7 @@ def _moved(setup: Setup, trial: Trial) -> bool:
 
 def _clearance(setup: Setup, trial: Trial) -> float:
     """Least distance between the finger's rim and the outline over a trial, m; negative where it overlaps."""
-    if trial.ends_only:  # the finger went straight, the object is anywhere between
+    if trial.ends_only:  # take a straight finger path and the object at either end
         track = shapely.LineString(trial.tip_pose.values[[0, *range(len(trial.tip_pose.time))]])
         outlines = [
             shapely.transform(setup.grid.polygon, partial(placed, pose=pose))

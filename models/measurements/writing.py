@@ -1,4 +1,4 @@
-"""Writing a dataset as a folder of the format push-dataset/1, at once or push by push; always whole."""
+"""Write a dataset as a folder of the format push-dataset/1, at once or push by push, always atomically."""
 
 import json
 import os
@@ -21,20 +21,20 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     """Write `dataset` so that reading it gives the same numbers to the last bit.
 
     All files are written to a folder beside the target, which is then renamed: a reader finds the old
-    dataset, the new one or none, never half of one. Trials keep their names where those are relative JSON
-    files, else all are numbered trials/000.json and on.
+    dataset, the new one or none, never half of one. Trials keep their names if those are relative JSON files;
+    otherwise all are numbered trials/000.json and so on.
 
     Args:
-        folder: the target; its parents are made.
-        overwrite: replace a push dataset that is there already. Only the files of that dataset may be in
-            the folder, as everything in it goes.
+        folder: the target; its parents are created.
+        overwrite: replace an existing push dataset. The folder may contain only the files of that dataset,
+            since everything in it is deleted.
 
     Returns:
         The folder.
 
     Raises:
-        DatasetError: the target is a file, a dataset and `overwrite` is not set, or anything else.
-        OSError: the disk is full or the place not writable; nothing is left behind.
+        DatasetError: the target is a file, a dataset while `overwrite` is not set, or another folder.
+        OSError: the disk is full or not writable; nothing is left behind.
 
     Example:
         >>> import slipmap, tempfile
@@ -51,26 +51,27 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
 
 
 def is_replaced(target: Path, overwrite: bool) -> bool:
-    """Whether something stands at the target that may go. Raises DatasetError as `write_dataset`."""
+    """Whether there is a dataset at the target that may be replaced. Raises DatasetError as
+    `write_dataset`."""
     if not target.exists():
         return False
     if not target.is_dir():
         raise DatasetError(
-            f"{target}: a file stands where the dataset's folder should be; choose another name"
+            f"{target}: this is a file, not a folder; choose another name for the dataset's folder"
         )
     present = {path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir()}
     if not present:
         return any(target.iterdir())
     if DESCRIPTION_FILE not in present:
         raise DatasetError(
-            f"{target}: the folder holds other files and is no push dataset; choose another one"
+            f"{target}: the folder contains other files and is not a push dataset; choose another one"
         )
     where = str(target / DESCRIPTION_FILE)
     _, document = read_yaml(target / DESCRIPTION_FILE, where)
     check_format(document, where)
     if not overwrite:
         raise DatasetError(
-            f"{target}: a push dataset is there already; choose another folder or allow overwriting"
+            f"{target}: there is already a push dataset here; choose another folder or allow overwriting"
         )
     listed = document.get("trials")
     entries = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
@@ -78,7 +79,7 @@ def is_replaced(target: Path, overwrite: bool) -> bool:
     foreign = sorted(present - own)
     if foreign:
         raise DatasetError(
-            f"{target}: {foreign[0]} is no part of the dataset there and would be lost; move it away first"
+            f"{target}: {foreign[0]} is not part of the dataset there and would be lost; move it away first"
         )
     return True
 
@@ -94,13 +95,13 @@ def _write_files(dataset: PushDataset, folder: Path) -> None:
 
 
 def trial_text(trial: Trial) -> str:
-    """A trial's file."""
+    """The content of a trial's file."""
     record = {name: _rows(channel) for name, channel in trial.channels.items()}
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
 def _rows(channel: Channel) -> list[list[float]]:
-    """Four columns each; the angle of a tip is 0."""
+    """Rows of four columns; the angle of a tip is 0."""
     missing = np.zeros((len(channel.time), 3 - channel.values.shape[1]))
     return np.column_stack([channel.time, channel.values, missing]).tolist()
 
@@ -119,7 +120,8 @@ def _description_text(dataset: PushDataset, names: list[str]) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Escapes the breaks of lines that YAML knows beside those of ASCII: in quotes they read as blanks."""
+    """Dumper that escapes the line breaks that YAML knows besides those of ASCII; quoted, they read as
+    blanks."""
 
     def represent_text(self, text: str) -> yaml.ScalarNode:
         style = '"' if any(sign in text for sign in "\x85\u2028\u2029") else None
@@ -141,19 +143,19 @@ def _file_names(trials: tuple[Trial, ...]) -> list[str]:
 
 
 class PushRecorder:
-    """Keeps a folder in step with a recording that grows.
+    """Keep a folder in step with a growing recording.
 
-    At every moment, also when the process is killed in the midst of it, the folder is a dataset that opens
-    and holds every push that `keep` has returned from. A trial's file is written to a temporary name, synced
-    to the disk and renamed; the dataset's description, which names the trials, follows in the same way.
+    At any moment, even if the process is killed while writing, the folder is a readable dataset with every
+    push for which `keep` has returned. A trial's file is written under a temporary name, synced to the disk
+    and renamed; the dataset's description, which names the trials, follows in the same way.
 
     Args:
-        folder: of the dataset; its parent exists. A push dataset of an earlier run that is there already
-            goes when the first push is kept, and stays until then.
-        kept: trials of this recording that are in the folder already.
+        folder: of the dataset; its parent exists. An existing push dataset of an earlier run stays until the
+            first push is kept, which replaces it.
+        kept: number of trials of this recording that are already in the folder.
 
     Raises:
-        DatasetError: anything else stands there.
+        DatasetError: the folder contains anything else.
     """
 
     def __init__(self, folder: Path, kept: int = 0) -> None:
@@ -162,14 +164,14 @@ class PushRecorder:
         self._kept = kept
 
     def keep(self, dataset: PushDataset) -> None:
-        """Write the trials that are not in the folder yet.
+        """Write the trials that are not yet in the folder.
 
         Args:
-            dataset: with all trials so far, named trials/000.json and on.
+            dataset: with all trials so far, named trials/000.json and so on.
 
         Raises:
-            OSError: the disk is full or the place not writable; `filename` is the file's. What was kept
-                before is still there and opens.
+            OSError: the disk is full or not writable; `filename` is the file's. What was kept before is still
+                there and readable.
         """
         if self._kept == 0 and dataset.trials:
             self._begin(replace(dataset, trials=dataset.trials[:1]))
@@ -182,7 +184,7 @@ class PushRecorder:
             self._kept = number + 1
 
     def _begin(self, first: PushDataset) -> None:
-        """The folder with the first trial, in one step; one of an earlier run is gone after it."""
+        """Create the folder with the first trial in one step, replacing that of an earlier run."""
         if not self._replaces:
             is_replaced(self._folder, overwrite=False)
         path = self._folder / first.trials[0].name
@@ -191,7 +193,7 @@ class PushRecorder:
         self._kept = 1
 
     def _write(self, path: Path, text: str) -> None:
-        # Beside the folder, not in it: what a killed process leaves there would be no part of the dataset.
+        # Beside the folder, not in it: leftovers of a killed process would not belong to the dataset.
         part = self._folder.with_name(f".{self._folder.name}.part")
         with _naming(path), replaced_file(path, part):
             with open(part, "w", encoding="utf-8") as file:
@@ -203,7 +205,7 @@ class PushRecorder:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """An error of the system names this file."""
+    """Make a system error name this file."""
     try:
         yield
     except OSError as error:

@@ -43,7 +43,7 @@ CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
     "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
     "table_direction": ("direction of motion on the table", lambda at: np.degrees(at.table_direction)),
     "object_direction": (
-        "direction of motion seen from the object",
+        "direction of motion in the object frame",
         lambda at: np.degrees(at.object_direction),
     ),
     "phase": ("phase of the push", lambda at: at.phase.astype(float)),

@@ -1,1 +1,1 @@
-"""Diagnosis: which physical effect do the pushes show that the model does not have?"""
+"""Diagnosis: which physical effect do the pushes show that the model lacks?"""

@@ -1,7 +1,7 @@
 """The strict likelihood: residuals and Jacobians of whole pushes, whitened by an `ErrorModel`.
 
-In the forgiving one (`likelihood.py`) each pose counts by itself, and little; here their correlation is
-spelled out, and all count.
+In the forgiving one (`likelihood.py`) each pose counts separately, and little; here their correlation is
+modelled, and all poses count.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Whitener:
     """Inverse Cholesky factors of the covariances of one push."""
 
     pose: FloatArray  # (3, S, S) of x, y and ρ θ
-    force: FloatArray  # (T, T) of a component of the forces that count
-    log_determinant: float  # logarithm of the determinant of the factors, by which densities are normalised
+    force: FloatArray  # (T, T) of one component of the forces that count
+    log_determinant: float  # log determinant of the Cholesky factors, which normalises densities
 
     def __call__(self, pose: FloatArray, force: FloatArray) -> FloatArray:
         """Whiten columns of residuals or derivatives: (…, S, 3, c) and (…, T, 2, c) to (…, 3 S + 2 T, c)."""
@@ -39,7 +39,7 @@ class Whitener:
 
 
 class FitData:
-    """What fits of all models to the same pushes share: which forces count, and how residuals are whitened.
+    """Data shared by all fits to the same pushes: which forces count, and how residuals are whitened.
 
     Args:
         observations: B pushes.
@@ -48,7 +48,7 @@ class FitData:
     Attributes:
         observations: the same.
         pushes: to roll out, with the times of all forces that count.
-        stretches: (T, steps) of each push, the matrix that takes the means of these forces.
+        stretches: (T, steps) of each push, the matrix that averages forces over the measured intervals.
         radius: ρ of the object's cells, m.
     """
 
@@ -64,7 +64,7 @@ class FitData:
         self._kept: dict[tuple[str, SensorNoise, float], list[tuple[FloatArray, float]]] = {}
 
     def whiteners(self, error: ErrorModel) -> list[Whitener]:
-        """Of all pushes; what was computed once for an α or a β is kept."""
+        """Whiteners of all pushes; results for an α or a β are cached."""
         poses = self._once(
             ("pose", error.noise, error.motion),
             lambda b: error.pose_covariance(self.observations[b], self._travel[b], self.radius),
@@ -98,10 +98,10 @@ def _inverse_factors(covariances: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
-    """Times of all steps in the stretches whose mean force counts, and the matrix (T, steps) of the means.
+    """Times of all steps in the intervals whose mean force counts, and the matrix (T, steps) of the means.
 
-    A finger path with a little noise rattles the object; over a stretch that cancels in the force as measured
-    and as predicted, if all of it is counted.
+    A slightly noisy finger path rattles the object; averaged over a whole interval this cancels in both the
+    measured and the predicted force.
     """
     push = observation.push
     middles = np.asarray(push.force_times)[observation.sliding]
@@ -111,7 +111,7 @@ def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
     half = 0.5 * steps * push.h / SAMPLES
     times = (np.arange(steps) + 0.5) * push.h
     inside = np.abs(times[None] - middles[:, None]) <= half * (1 + 1e-9)
-    # A stretch shorter than a step takes the step that holds it.
+    # An interval shorter than a step takes the step that contains it.
     empty = ~inside.any(axis=1)
     inside[empty, np.clip((middles[empty] / push.h).astype(int), 0, steps - 1)] = True
     used = inside.any(axis=0)
@@ -120,22 +120,22 @@ def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals of one push and their derivatives, of one model and not whitened."""
+    """Residuals of one push under one model, and their derivatives, not whitened."""
 
     pose: FloatArray  # (S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m
-    pose_slopes: FloatArray  # (S, 3, d + 3) by coordinates and start
+    pose_slopes: FloatArray  # (S, 3, d + 3) derivatives over coordinates and start
     force: FloatArray  # (T, 2) predicted minus measured force where it counts, N
     force_slopes: FloatArray  # (T, 2, d + 3)
 
     def by(self, columns: NDArray[np.int64]) -> Linearised:
-        """The same with derivatives by some coordinates (c,) and the start."""
+        """The same with derivatives over some coordinates (c,) and the start."""
         chosen = np.append(columns, np.arange(-3, 0))
         return Linearised(
             self.pose, self.pose_slopes[..., chosen], self.force, self.force_slopes[..., chosen]
         )
 
     def whitened(self, whitener: Whitener) -> FloatArray:
-        """(3 S + 2 T, d + 4) derivatives and, in the last column, residuals."""
+        """(3 S + 2 T, d + 4) whitened derivatives and, in the last column, residuals."""
         return whitener(
             np.concatenate([self.pose_slopes, self.pose[..., None]], axis=-1),
             np.concatenate([self.force_slopes, self.force[..., None]], axis=-1),
@@ -148,7 +148,7 @@ class CorrelatedLikelihood(PushLikelihood):
 
     def __init__(self, prior: MapPrior, measured: FitData, error: ErrorModel) -> None:
         noise = error.noise
-        # Where the object is still at first, the start is a mean of many rows; it may settle meanwhile.
+        # Where the object rests at first, the start is a mean of many rows; limit these, as it may settle.
         start_rows = np.minimum([o.start_rows for o in measured.observations], AVERAGED)
         start = np.array([noise.position, noise.position, noise.angle]) / np.sqrt(start_rows)[:, None]
         super().__init__(prior, measured.observations, measured.pushes, start)
@@ -191,11 +191,11 @@ class CorrelatedLikelihood(PushLikelihood):
 
 
 _OUTLIER = 2.5
-"""Pushes whose whitened residuals are larger than this, in root mean square, count linearly (Huber)."""
+"""Pushes whose whitened residuals exceed this root mean square count linearly (Huber)."""
 
 
 def _robust(square: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Huber's weights and costs (K,) of a push by the squared norms (K,) of its whitened residuals."""
+    """Huber's weights and costs (K,) of a push from the squared norms (K,) of its whitened residuals."""
     norm, limit = np.sqrt(square), _OUTLIER * float(np.sqrt(rows))
     beyond = norm > limit
     weight = np.where(beyond, limit / np.maximum(norm, 1e-300), 1.0)

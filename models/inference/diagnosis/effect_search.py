@@ -1,5 +1,4 @@
-"""Where effects act: a strict fit of the model with some effects, each started where it gains most to first
-order."""
+"""Strict fit of the model with some effects, each started where it gains most to first order."""
 
 from __future__ import annotations
 
@@ -24,12 +23,12 @@ def find_effects(
     rng: np.random.Generator,
     report: Progress,
 ) -> Fitted:
-    """The model with some effects, fitted to pushes.
+    """Fit the model with some effects to pushes.
 
     Args:
-        dataset: whose pushes they are.
+        dataset: the dataset that the pushes belong to.
         observations: pushes to learn from.
-        effects: that the model is given, at least one.
+        effects: effects of the model, at least one.
         rng: of the draws.
         report: called with (stage, done, total).
 

@@ -1,4 +1,4 @@
-"""Fits of the model with some effects to the open pushes of a dataset, and of the error model with them."""
+"""Fits of the model, with or without effects, and of its error model to the open pushes of a dataset."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
 
 MODES = 20
-"""Coordinates of each map; the finest ones cannot be told from noise and cost time."""
+"""Coordinates per map; finer ones cannot be distinguished from noise and cost time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """One fitted model."""
 
-    effects: tuple[Effect, ...]  # that it has
-    likelihood: CorrelatedLikelihood  # that was fitted, with its prior and error model
+    effects: tuple[Effect, ...]  # effects in the model
+    likelihood: CorrelatedLikelihood  # with its prior and error model
     z: FloatArray  # (d,) coordinates
-    prior_mean: FloatArray  # (d,) where the prior was centred
-    offsets: FloatArray  # (B, 3) starts of the pushes
-    cost: float  # that was reached
+    prior_mean: FloatArray  # (d,) centre of the prior
+    offsets: FloatArray  # (B, 3) start offsets of the pushes
+    cost: float  # cost of the fit
 
     @property
     def standard_deviations(self) -> FloatArray:
-        """(P,) of the parameters, everything else being refitted with them."""
+        """(P,) standard deviations of the parameters, marginal over everything else."""
         equations = self.likelihood.linearise(
             self.z[None], self.offsets[None], np.ones(1), np.ones((1, len(self.offsets)))
         )
@@ -74,20 +74,21 @@ class Fitter:
         return MapPrior(slider_for(d, effects), self.settings, d.mass, self.weight, known=d.known)
 
     def base(self, error: ErrorModel, start: Fitted, progress: StageProgress | None = None) -> Fitted:
-        """Fit the model without effects, from the maps of another fit."""
+        """Fit the model without effects, starting from the maps of another fit."""
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.measured, error)
-        # Gains are counted from here: what the search leaves undone would be taken for an effect.
+        # Gains are counted from here: an unfinished search would be mistaken for an effect.
         return _fitted(
             (), likelihood, start.z[: prior.size], np.zeros(prior.size), start.offsets,
             iterations=80, tolerance=1e-5, progress=progress,
         )  # fmt: skip
 
     def from_scratch(self, progress: StageProgress) -> Fitted:
-        """Fit the model without effects, and the error model with it; finds what the object weighs.
+        """Fit the model without effects together with the error model; this also sets the object's weight.
 
-        The forgiving likelihood of the identification comes first: it finds the valley, where the strict one,
-        with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
+        The forgiving likelihood of the identification comes first: it finds the right minimum, where the
+            strict
+        one, with its many correlated rows, gets stuck on the way.
         """
         prior = self.prior(())
         first = fit(self._forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()
@@ -103,7 +104,7 @@ class Fitter:
         return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
     def start_of(self, effect: Effect, values: FloatArray, error: ErrorModel, near: Fitted) -> FloatArray:
-        """(P,) where to begin with an effect: at some parameters (P,), or at the one of its far starts that
+        """(P,) starting parameters of an effect: those given (P,), or the one of its distant starts that
         explains the pushes best with the maps of a fit."""
         tried = effect.with_far_starts(values)
         if len(tried) == 1:
@@ -132,14 +133,14 @@ class Fitter:
         """Fit the model with some effects.
 
         Args:
-            effects: that it has.
+            effects: effects in the model.
             error: error model.
-            near: fit to start from; None to start afresh alone.
+            near: fit to start from; None to start only afresh.
             values: (P,) parameters to start from.
-            afresh: start a second time from where the forgiving likelihood leads: a model that lacks the
-                effect may have bent its maps too far to find back.
-            iterations: most that each search may take.
-            forgiving: most that the search under the forgiving likelihood may take.
+            afresh: start a second time from where the forgiving likelihood leads: without the effect, the
+                maps of `near` may be bent too far to find back.
+            iterations: most iterations of each search.
+            forgiving: most iterations under the forgiving likelihood.
 
         Returns:
             The better fit, or None where none can be computed.
@@ -169,7 +170,7 @@ class Fitter:
         return min(found, key=lambda fitted: fitted.cost, default=None)
 
     def scene(self, base: Fitted) -> Scene:
-        """What effects have to know to begin their search, from a fit of the model without effects."""
+        """The scene from which effects derive their starting values, given a fit without effects."""
         poses = np.concatenate([o.poses for o in self.observations])[:, :2]
         center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
         return Scene(
@@ -182,7 +183,7 @@ class Fitter:
         )
 
     def _weight_of(self, base: Fitted) -> float:
-        """N."""
+        """Weight of the object in a fit, N."""
         return float(base.likelihood.prior.maps(base.z[None]).mass.sum()) * self.dataset.gravity
 
 
@@ -215,14 +216,14 @@ def _fitted(
 
 
 _MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
-"""α to choose from; no cell grid is better than the first, however good the sensors are."""
+"""Values of α to choose from; no cell grid is better than the first, however good the sensors."""
 
 _FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
-"""β to choose from."""
+"""Values of β to choose from."""
 
 
 def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
-    """The error model under which pushes left out are most probable, α and β on a grid."""
+    """The error model under which left-out pushes are most probable, with α and β from a grid."""
     data = fitted.likelihood.measured
     rows = fitted.likelihood.rows(fitted.z, fitted.offsets)
     prior = fitted.likelihood.prior

@@ -1,4 +1,4 @@
-"""How well a belief predicts pushes that were locked away before anything was fitted."""
+"""Errors of a belief on pushes that were locked away before anything was fitted."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class LockedErrors:
 
     @property
     def total_misfit(self) -> float:
-        """Root mean square over all pushes."""
+        """Root mean square of the misfits over all pushes."""
         return float(np.sqrt((self.misfit**2).mean()))
 
 
 def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
-    """Names of the trials to lock away: those held out, else three in ten, one at least where there are
+    """Names of the trials to lock away: those held out, otherwise three in ten if there are at least
     three."""
     heldout = [trial.name for trial in dataset.heldout_trials]
     if heldout:
@@ -40,7 +40,7 @@ def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
 
 
 def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
-    """The dataset with trials of these names held out, and all others to learn from."""
+    """The dataset with the trials of these names held out and all others to learn from."""
     trials = tuple(
         replace(trial, role="heldout" if trial.name in locked else "fit") for trial in dataset.trials
     )
@@ -48,7 +48,7 @@ def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
 
 
 def locked_errors(learnt: Identification) -> LockedErrors | None:
-    """Errors of a belief on the pushes that were held out from it; None where none was."""
+    """Errors of a belief on the pushes held out from it; None where there are none."""
     errors = [push.errors for push in learnt.pushes if push.role == "heldout"]
     if not errors:
         return None

@@ -1,4 +1,4 @@
-"""What a diagnosis may come to: each verdict with its sentence and the models that belong to it."""
+"""Possible outcomes of a diagnosis: each verdict with its sentence and its models."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class Outcome:
     """A verdict."""
 
     verdict: str  # one of `results.VERDICTS`
-    sentence: str  # the verdict for a person
+    sentence: str  # the verdict in words
     best: Fitted  # fitted model with the best effects, or without
     effects: tuple[str, ...] = ()  # what the data cannot rule out, best first; together if `together`
-    together: bool = False  # whether the effects are needed at the same time
+    together: bool = False  # whether all of the effects are needed at once
     depends_on: str | None = None  # sentence of the probe that finds structure that no effect explains
     rivals: tuple[Fitted, ...] = ()  # fitted models of the effects
-    fault: str | None = None  # of the records, which has to be mended before anything can be told
-    # what speaks against those that the open pushes would name, by their names
+    fault: str | None = None  # fault in the records that must be fixed before any effect can be identified
+    # objections to effects that the open pushes favour, by name
     objections: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -33,51 +33,51 @@ def nothing_missing(base: Fitted) -> Outcome:
 
 
 def nothing_visible(base: Fitted, pushes: str) -> Outcome:
-    """Nothing is seen, but it could not have been."""
-    sentence = f"Nothing is seen to be missing, but {pushes} could not have shown most effects."
+    """Nothing was found, but these pushes would not have revealed most effects."""
+    sentence = f"Nothing seems to be missing, but {pushes} could not have revealed most effects."
     return Outcome("undecided", sentence, base)
 
 
 def scatter(base: Fitted) -> Outcome:
-    """The model is off by much, and no effect explains it."""
+    """The model error is large, and no effect explains it."""
     share = 100 * base.likelihood.error.motion
     sentence = (
-        f"The model is off by about {share:.0f} % of the way, which is much, but no effect explains"
-        " it: the pushes may scatter by themselves, or something unknown disturbs them."
+        f"The model error is large, about {share:.0f} % of the distance moved, but no effect explains it:"
+        " the pushes may not be repeatable, or something unknown disturbs them."
     )
     return Outcome("undecided", sentence, base)
 
 
 def disagreement(base: Fitted, pushes: int, p: float) -> Outcome:
-    """Pushes do not agree on what gains; p is the share of sign changes that gain as much."""
+    """The pushes disagree on which effect gains; p is the share of random sign flips that gain as much."""
     sentence = (
-        f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it"
-        f" is: turned round at random, they would show as much in {100 * p:.0f} % of cases."
+        f"The model leaves much unexplained, but the {pushes} pushes do not agree on the cause: with the"
+        f" signs of their residuals flipped at random, they would show as much in {100 * p:.0f} % of cases."
     )
     if pushes == 1:
         sentence = (
-            "Much is left that the model does not explain, but a single push cannot show whether others would"
-            " agree on what it is."
+            "The model leaves much unexplained, but a single push cannot show whether others would agree on"
+            " the cause."
         )
     return Outcome("undecided", sentence, base)
 
 
 def too_faint(base: Fitted) -> Outcome:
-    """Something gains, but too little."""
-    sentence = "Something may be missing, but the pushes show too little of it to say what."
+    """An effect gains, but too little to be named."""
+    sentence = "Something may be missing, but its trace in these pushes is too faint to say what it is."
     return Outcome("undecided", sentence, base)
 
 
 def without_those_objected_to(
     answer: Outcome, objections: Mapping[str, str], base: Fitted, screening: Screening
 ) -> Outcome:
-    """An answer less those of its rivals that something speaks against.
+    """Drop from an answer the rivals that are objected to.
 
     Args:
         answer: with rivals.
-        objections: what speaks against some of them, by `name_of`.
+        objections: to some of them, by `name_of`.
         base: the model without effects.
-        screening: gains on top of that.
+        screening: gains over that model.
     """
     kept = [rival for rival in answer.rivals if name_of(rival) not in objections]
     if len(kept) == len(answer.rivals):
@@ -89,42 +89,42 @@ def without_those_objected_to(
     clauses = dict.fromkeys(objections.values())
     stays_off = STAYS_OFF in clauses
     sentence = (
-        f"On the open pushes {' or '.join(names)} would explain {'something' if stays_off else 'much'}, but"
+        f"On the open pushes, {' or '.join(names)} would explain {'something' if stays_off else 'much'}, but"
         f" {' or '.join(clauses)}"
     )
     if stays_off:
         found = unknown(base, screening)
         return replace(
             found,
-            sentence=f"{sentence}: that is not what is missing. {found.sentence}",
+            sentence=f"{sentence}, so something else is missing. {found.sentence}",
             objections=objections,
         )
     return Outcome(
         "undecided",
-        f"{sentence}: the pushes are too few, or scatter too much, to decide.",
+        f"{sentence}. There are too few pushes, or they scatter too much, to decide.",
         base,
         objections=objections,
     )
 
 
 def far_off(base: Fitted, misfit: float) -> Outcome:
-    """Nothing gains enough, but predictions are far off; `misfit` is that of the typical push."""
+    """No effect gains enough, but predictions are far off; `misfit` is that of the typical push."""
     sentence = (
-        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensors' noise. But no effect"
-        " that was tried explains that; something else is wrong: frames, clocks or units of the sensors, or"
-        " the object's outline. What reading warns of comes first."
+        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensor noise, and no effect"
+        " that was tried explains this. Check the frames, clocks and units of the sensors and the object's"
+        " outline, starting with any warnings that were given when the dataset was read."
     )
     return Outcome("undecided", sentence, base)
 
 
 def records_wrong(base: Fitted, fault: str) -> Outcome:
-    """Finger and object do not touch in the records; `fault` is a clause that says how, and asks why."""
-    sentence = f"The records contradict themselves, so that no effect can be told: {fault}"
+    """The recorded finger and object do not fit together; `fault` is a clause with the symptom and cause."""
+    sentence = f"The records contradict themselves, so no effect can be identified: {fault}"
     return Outcome("undecided", sentence, base, fault=fault)
 
 
 def name_of(rival: Fitted) -> str:
-    """The effects of a model, for a person."""
+    """The effects of a model as text."""
     return " and ".join(effect.name for effect in rival.effects)
 
 
@@ -141,7 +141,7 @@ def one_of(rivals: Sequence[Fitted]) -> Outcome:
 
 
 def two_at_once(found: Sequence[Fitted]) -> Outcome:
-    """Two effects that are needed at the same time, the stronger first; or such pairs, best first."""
+    """Two effects that are both needed, the stronger first; or several such pairs, best first."""
     best = found[0]
     different: dict[frozenset[str], Fitted] = {}
     for pair in found:
@@ -158,12 +158,12 @@ def two_at_once(found: Sequence[Fitted]) -> Outcome:
 
 
 def unknown(base: Fitted, screening: Screening) -> Outcome:
-    """Structure is left, described by the probe that gains most in a screening."""
+    """The residual has structure, described by the probe that gains most in a screening."""
     probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
     _, probe = max(probes, key=lambda pair: pair[0])
     return Outcome(
         "unknown",
-        "Structure is left that no effect of the library explains; the residual behaves like this:"
+        "The residual has structure that no effect in the library explains. It behaves like this:"
         f" {probe.sentence[0].lower()}{probe.sentence[1:]}",
         base,
         depends_on=f"{probe.name}: {probe.sentence}",

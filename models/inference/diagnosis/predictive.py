@@ -1,14 +1,14 @@
-"""How well a linearised model predicts pushes that it was not fitted to.
+"""Predictive score of a linearised model on pushes that it was not fitted to.
 
-Around its optimum a model is linear in its coordinates z: whitened residuals r_b + J_b z of push b, prior z
-~ N(0, 1/Λ). With N_b = J_bᵀJ_b, H = Λ + Σ N_b, the best z and the residuals ê_b there, the density of push
-b given all the others needs no refit:
+Around its optimum a model is linear in its coordinates z: push b has whitened residuals r_b + J_b z, and the
+prior is z ~ N(0, 1/Λ). With N_b = J_bᵀJ_b, H = Λ + Σ N_b, the best z and the residuals ê_b there, the density
+of push b given all others needs no refit:
 
     log p(r_b | others) = ½ log det(1 - J_b H⁻¹ J_bᵀ) - ½ (|ê_b|² + (J_bᵀê_b)ᵀ (H - N_b)⁻¹ (J_bᵀê_b)) + const.
 
-Its sum over pushes is the score. All of it follows from N_b, J_bᵀr_b and |r_b|² of each push, so that a
-candidate costs one small factorisation a push, for the data and for many simulated data at once. A push is
-left out as a whole: what repeats within it is no evidence.
+Its sum over pushes is the score. It depends only on N_b, J_bᵀr_b and |r_b|² of each push, so a candidate
+costs one small factorisation per push, for the data and for many simulated datasets at once. Pushes are left
+out as a whole, since repetition within a push is not evidence.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 def whitened_rows(
     likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, its unknown start counted as noise."""
+    """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, with its unknown start as noise."""
     jacobians, residuals = [], []
     for b, push in enumerate(rows):
         white = push.whitened(likelihood.whiteners[b])
@@ -41,8 +41,7 @@ def whitened_rows(
 
 
 def log_determinant(likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]) -> float:
-    """Log of the determinant of all that residuals were whitened with: to compare scores of two error
-    models."""
+    """Log determinant of the whitening of all residuals, needed to compare scores of two error models."""
     total = 0.0
     for whitener, sigma, push in zip(likelihood.whiteners, likelihood.start_sigma, rows, strict=True):
         start = whitener(push.pose_slopes[..., -3:], push.force_slopes[..., -3:]) * sigma
@@ -60,7 +59,7 @@ class PushEquations:
 
     @classmethod
     def of(cls, jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> PushEquations:
-        """From whitened Jacobians (R_b, d) and residuals (R_b, D)."""
+        """Form the equations from whitened Jacobians (R_b, d) and residuals (R_b, D)."""
         return cls(
             np.array([J.T @ J for J in jacobians]),
             np.array([J.T @ r for J, r in zip(jacobians, residuals, strict=True)]),
@@ -73,10 +72,10 @@ class PushEquations:
         """Score (B, D) of each push for a model with some of the columns, and its best coordinates (c, D).
 
         Args:
-            columns: (c,) which.
+            columns: (c,) indices of the columns.
             precision: (c,) diagonal of Λ.
-            pull: (c,) gradient of the prior at the optimum, added for the first set of residuals alone:
-                there the data and the prior hold each other.
+            pull: (c,) gradient of the prior at the optimum, added only for the first set of residuals, where
+                it balances the data.
         """
         normal = self.normal[:, columns[:, None], columns]
         slope = self.slope[:, columns]

@@ -1,16 +1,16 @@
-"""Which physical effect do the data miss? The procedure, from pushes to verdict.
+"""Find the physical effect that the model lacks: the procedure from pushes to verdict.
 
 1. Some pushes are locked away. The model without effects and the error model are fitted to the rest.
-2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain
-   is compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data
-   too few.
+2. Every candidate is added to first order, with the maps refitted, and scored on left-out pushes. The
+   largest gain is compared with the largest gain by chance. If it is no larger, the model is adequate or the
+   data are too few.
 3. Candidates are refitted in full, under the error model of the best.
-4. Each that is left is asked the same question again: does anything gain on top of it? The true effect
-   leaves nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
-5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
-6. Where nothing is named and the model is far off, a fit that forgives large errors is asked (`several`).
+4. Each remaining candidate is screened again: does anything gain on top of it? The true effect leaves nothing
+   to gain; an impostor leaves the true one. The candidates that pass are the answer: one, or a set.
+5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library.
+6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`).
 
-`verdict_rules` says what counts, `outcomes` what it comes to.
+`verdict_rules` holds the thresholds, `outcomes` the verdicts.
 """
 
 from __future__ import annotations
@@ -78,23 +78,23 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find out whether, and which, physical effect the model misses on a dataset.
+    """Find out whether the model lacks a physical effect on a dataset, and which.
 
     Args:
         dataset: measured pushes.
         effects: candidates.
         draws: simulated datasets for the p-values.
-        quick: do not simulate any; gains are judged by a fixed threshold. Fewer pushes, larger steps.
+        quick: simulate none and judge gains by a fixed threshold, with fewer pushes and larger steps.
         seed: of every random draw.
         progress: called with (stage, done, total).
 
     Raises:
         DatasetError: no push is left to fit.
         EffectError: a candidate's formula cannot be used.
-        ValueError: fewer draws than the level of the test needs.
+        ValueError: too few draws for the level of the test.
     """
     if not quick and draws < FEWEST_DRAWS:
-        raise ValueError(f"draws must be at least {FEWEST_DRAWS} to reach p <= {LEVEL}, got {draws}")
+        raise ValueError(f"draws must be at least {FEWEST_DRAWS} for p <= {LEVEL}, got {draws}")
     started = time.perf_counter()
     report = progress or silent
     rng = np.random.default_rng(seed)
@@ -102,16 +102,18 @@ def diagnose(
     locked = locked_trials(dataset, rng)
     open_trials = [trial for trial in dataset.trials if trial.name not in locked]
     if quick and len(open_trials) > 10:
-        # A quick look takes ten, spread evenly over all.
+        # A quick diagnosis takes ten pushes, spread evenly.
         kept = np.linspace(0, len(open_trials) - 1, 10).round().astype(int)
         open_trials = [open_trials[b] for b in kept]
     if not open_trials:
-        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+        raise DatasetError(
+            f"dataset {dataset.name} has no push left to fit; set the role of at least one push to fit"
+        )
     coarseness = QUICK_COARSENESS if quick else 1.0
     observations = observe_all(dataset, open_trials, coarseness)
     inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
-    # The answer is judged by what `identify` and `fit` learn from the same pushes.
+    # What `identify` and `fit` learn from the same pushes judges the answer.
     divided = with_locked(dataset, locked)
     everything = observe_all(divided)
     own = about("without effects", report)
@@ -119,7 +121,7 @@ def diagnose(
     before = locked_errors(without)
 
     def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
-        """An answer less what the locked pushes speak against, and what is learnt with what is left."""
+        """An answer without rivals that the locked pushes contradict, and what is learnt with the rest."""
         with_each = {
             outcomes.name_of(rival): learn(
                 divided, everything, rival, seed=seed, report=about("with effects", report)
@@ -178,7 +180,7 @@ class Inquiry:
         report: Progress,
     ) -> None:
         measured = any(observation.sliding.any() for observation in observations)
-        # A force that was not measured says nothing of its sensor.
+        # Without measured forces, nothing can be learnt about the force sensor.
         effects = tuple(effect for effect in effects if measured or not effect.only_force)
         self.effects = effects
         self.fault = fault_of_frame(dataset, dataset.trials)
@@ -246,18 +248,18 @@ class Inquiry:
 
     def _ask_every_effect(self) -> Screening:
         """Gains on top of the model without effects."""
-        first = self._screen(self.base, partial(self.report, "asking every effect"))
+        first = self._screen(self.base, partial(self.report, "screening effects"))
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first
 
     @property
     def rough(self) -> bool:
-        """Whether the locked pushes have to become better by more than chance."""
+        """Whether the locked pushes must improve by more than chance."""
         return self.faint or self.error.motion > ROUGH
 
     def misfit(self) -> FloatArray:
-        """(B,) of each open push by the model without effects, in sensor noise, forces among it."""
+        """Misfit (B,) of each open push without effects, in units of sensor noise, forces included."""
         noise = self.fitter.noise
         sigma = np.array([noise.position, noise.position, noise.angle * self.fitter.measured.radius])
         found = []
@@ -267,12 +269,12 @@ class Inquiry:
         return np.array(found)
 
     def _too_faint(self) -> Outcome:
-        """Something gains, but too little; nor is what gains it, where pushes are missed by far."""
+        """An effect gains, but too little; if pushes are missed by far, something else is wrong."""
         misfit = far_above_noise(self.misfit())
         return outcomes.too_faint(self.base) if misfit is None else outcomes.far_off(self.base, misfit)
 
     def _nothing_found(self) -> Outcome:
-        """Adequate, unless the pushes could not have shown an effect of ordinary size."""
+        """Adequate, unless the pushes scatter or could not have revealed an effect of ordinary size."""
         pushes = len(self.fitter.observations)
         if pushes < FEWEST_PUSHES:
             return outcomes.nothing_visible(self.base, f"{pushes} pushes")
@@ -283,7 +285,7 @@ class Inquiry:
         return outcomes.nothing_missing(self.base)
 
     def _found_better_base(self) -> bool:
-        """Whether a refit leads to a better model without effects, which is then asked anew. Asked once."""
+        """Adopt a better model without effects where a refit leads to one, once; whether it did."""
         if self.second_look or not self.draws:
             return False
         self.second_look = True
@@ -295,11 +297,11 @@ class Inquiry:
         return True
 
     def _disagreement(self) -> Outcome | None:
-        """`undecided` where much is left even with the best effect, and pushes do not agree on what gains.
+        """`undecided` where much is left even with the best effect, and the pushes disagree on what gains.
 
-        Then the error model is no more than a description, and chance has to be judged by the pushes alone:
-        by turning round the residuals of whole pushes at random. Where the noise was declared, what is left
-        beyond it is the model's, however few pushes show it.
+        The error model then only describes scatter, so chance is judged by the pushes alone: the residuals of
+        whole pushes change sign at random. Where the noise is declared, whatever exceeds it is model error,
+        however few pushes show it.
         """
         if self.error.motion <= ROUGH or not self.draws or self.fitter.noise.declared:
             return None
@@ -309,7 +311,7 @@ class Inquiry:
         return outcomes.disagreement(self.base, len(self.fitter.observations), p)
 
     def _ask_what_is_left(self) -> dict[str, Screening]:
-        """Gains on top of each candidate that is near the best; accepts those that explain the data."""
+        """Gains on top of each candidate close to the best; accepts those that explain the data."""
         gains = self.refits.gains
         order = self.refits.order
         best = gains[order[0]]
@@ -317,7 +319,7 @@ class Inquiry:
         rest: dict[str, Screening] = {}
         faint: list[str] = []
         for step, name in enumerate(asked):
-            self.report("asking what is left", step, len(asked))
+            self.report("checking what is left", step, len(asked))
             rival = self.rules.rivals_the_best(gains[name], best)
             if not (rival or self.draws):
                 continue
@@ -330,11 +332,11 @@ class Inquiry:
                 faint.append(name)
         if faint and not self.accepted:
             self.accepted, self.faint = faint, True
-        self.report("asking what is left", len(asked), len(asked))
+        self.report("checking what is left", len(asked), len(asked))
         return rest
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
-        """Two effects that together leave nothing, best first; several where the first could be another."""
+        """Pairs of effects that together leave nothing, best first; several where the first is ambiguous."""
         gains = self.refits.gains
         best = max(gains.values(), default=0.0)
         found: list[Fitted] = []
@@ -352,17 +354,17 @@ class Inquiry:
         return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
 
     def by_evidence(self, divided: PushDataset, seed: int) -> Outcome | None:
-        """The effect that a fit which forgives large errors names; None where it names none.
+        """The effect named by a fit that tolerates large errors; None where it names none.
 
-        Where the model is off by far more than the noise, a few pushes decide a strict fit. Where nothing is
-        known of the noise either, pushes may scatter that much.
+        Where the model error is far above the noise, a few pushes decide a strict fit. If neither noise nor
+        maps are known, the pushes themselves may scatter that much, and no effect is named.
         """
         if self.error.motion <= ROUGH or not (self.fitter.noise.declared or divided.known):
             return None
         effect = None
         with suppress(RolloutError):
             effect = named_by_evidence(
-                divided, self.effects, seed, partial(self.report, "asking a forgiving fit")
+                divided, self.effects, seed, partial(self.report, "trying a forgiving fit")
             )
         if effect is None:
             return None
@@ -375,7 +377,7 @@ class Inquiry:
         return outcomes.one_of([fitted])
 
     def candidates(self, learnt: Sequence[Identification]) -> list[CandidateResult]:
-        """All named candidates, best first; those of the answer have the parameters that were learnt."""
+        """All named candidates, best first; those in the answer carry the parameters that were learnt."""
         told: dict[str, tuple[ParameterEstimate, ...]] = {}
         for one in learnt:
             told = estimates_by_effect(one) | told

@@ -1,4 +1,4 @@
-"""Full refits of the model with one more effect, and of the model without, from where they lead."""
+"""Full refits of the model with one more effect, and of the model without effects from their maps."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.progress import StageProgress
 
 _QUICK_REFITS = 3
-"""Candidates besides the favourite that are refitted in full where chance was not simulated; a short search
-and one step of the full fit choose them."""
+"""Candidates besides the favourite that are refitted in full where chance was not simulated, chosen by a
+short search and one step of the full fit."""
 
 _WORTH_REFITTING, _WORTH_REFITTING_GAIN = 0.7, 30.0
-"""Share of the best fall of the cost, or nats, by which a candidate may be behind to be refitted again."""
+"""Share of the best drop in cost, or nats, by which a candidate may be behind and still be refitted again."""
 
 _BETTER_BASE = 5.0
-"""Fall of the cost, in nats, by which other maps of the model without effects are better."""
+"""Drop in cost, in nats, from which other maps of the model without effects count as better."""
 
 _SECONDS_TRIED, _SECOND_SHARE = 2, 0.3
-"""Second effects that are tried with a first: so many, with at least this share of the largest gain."""
+"""Number of second effects tried with a first, and the smallest share of the largest gain they must have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Refits:
     """Candidates refitted in full."""
 
     error: ErrorModel  # error model of the best of them
-    fits: dict[str, Fitted]  # by name, those that come near the best
-    gains: dict[str, float]  # fall of the cost by each, nats
+    fits: dict[str, Fitted]  # by name, those close to the best
+    gains: dict[str, float]  # drop in cost by each, nats
 
     @property
     def order(self) -> list[str]:
@@ -51,10 +51,10 @@ def refit_candidates(
     quick: bool,
     progress: StageProgress,
 ) -> Refits:
-    """Refit the effects among the candidates screened, then again under the error model of the best.
+    """Refit the screened effects, then again under the error model of the best.
 
-    All, since the first order misleads where the model without the effect had to bend its maps far; with
-    `quick` a short search leaves a few.
+    All effects are refitted, since the first order misleads where the model had to bend its maps far to do
+    without an effect; if `quick`, a short search selects a few.
     """
     error = base.likelihood.error
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
@@ -75,7 +75,7 @@ def refit_candidates(
         return Refits(error, {}, {})
     favourite = first.candidates[named[0]].name
     if quick:
-        # One step does not bring every candidate near its optimum: the first-order favourite stays in.
+        # One step does not bring every candidate near its optimum, so the first-order favourite stays in.
         ahead = sorted(found, key=lambda name: found[name].cost)[:_QUICK_REFITS]
         found = {name: fit for name, fit in found.items() if name in ahead or name == favourite}
     best = min(found.values(), key=lambda fitted: fitted.cost)
@@ -95,9 +95,9 @@ def refit_candidates(
 
 
 def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
-    """The model without effects on the maps of the best refit, where these explain the data better.
+    """The model without effects, refitted from the maps of the best refit, if that explains the data better.
 
-    Then it was the search that the effect helped, not the model.
+    The effect then helped the search, not the model.
     """
     if not refits.fits:
         return None
@@ -111,7 +111,7 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
 def pairs(
     fitter: Fitter, first: Fitted, rest: Screening, effects: Sequence[Effect], scene: Scene
 ) -> Iterator[Fitted]:
-    """Fits of two effects at once, the second being one of `effects` that gains most on top of the first."""
+    """Fits of two effects at once: a first, and those of `effects` that gain most on top of it."""
     order = [i for i in np.argsort(-rest.gain) if rest.candidates[i] in effects][:_SECONDS_TRIED]
     for i in order:
         if rest.gain[i] < _SECOND_SHARE * rest.gain.max():

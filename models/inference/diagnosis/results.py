@@ -16,7 +16,7 @@ from slipmap.models.inference.results import Identification
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 
 QUICK_COARSENESS = 2.0
-"""How many times longer the steps of a quick look are."""
+"""Factor by which a quick diagnosis lengthens the simulation's steps."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ParameterEstimate:
 
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
-    """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
+    """Parameters of a fitted model with their 90 % intervals, clipped to the allowed range."""
     values, spread = fitted.values, 1.645 * fitted.standard_deviations
     low, high = bounds(fitted.effects)
     lows, highs = np.maximum(values - spread, low), np.minimum(values + spread, high)
@@ -42,7 +42,7 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
 
 
 def estimates_by_effect(learnt: Identification) -> dict[str, tuple[ParameterEstimate, ...]]:
-    """Parameters of each effect that was learnt with a belief, with their 90 % intervals."""
+    """Parameters of each effect learnt with a belief, with their 90 % intervals."""
     return {
         effect: tuple(
             ParameterEstimate(effect, name, v["unit"], v["value"], v["low"], v["high"])
@@ -54,17 +54,17 @@ def estimates_by_effect(learnt: Identification) -> dict[str, tuple[ParameterEsti
 
 @dataclass(frozen=True, eq=False)
 class CandidateResult:
-    """What the data say of one candidate."""
+    """What the data say about one candidate."""
 
     name: str  # of the effect
-    gain: float  # in predictive score on pushes left out, to first order, nats
-    # share of simulated datasets without any missing effect whose largest gain is at least that; None where
-    # nothing was simulated
+    gain: float  # in predictive score on left-out pushes, to first order, nats
+    # share of datasets simulated without any missing effect whose largest gain is at least this; None where
+    # none were simulated
     p_value: float | None
-    # fall of the cost when all is refitted with the effect, nats; None where it was not refitted
+    # drop in cost when everything is refitted with the effect, nats; None where it was not refitted
     fitted_gain: float | None = None
-    # the effect or probe whose addition shows that this one does not explain the data; None where none does,
-    # or where it was not asked
+    # the effect or probe whose addition shows that this one does not explain the data; None where there is
+    # none, or where this was not screened
     rejected_by: str | None = None
     remaining_gain: float | None = None  # of that addition, nats
     remaining_p: float | None = None  # its p-value
@@ -74,31 +74,31 @@ class CandidateResult:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(Outcome):
-    """Result of `diagnose`: the verdict and what it rests on."""
+    """Result of `diagnose`: the verdict and its evidence."""
 
     candidates: tuple[CandidateResult, ...]  # all that were tried, best first
     p_value: float | None  # of the largest gain; None where nothing was simulated
     open_trials: tuple[str, ...]  # pushes that were fitted
-    locked: tuple[str, ...]  # names of those locked away
+    locked: tuple[str, ...]  # pushes that were locked away
     without_effects: Identification  # what `identify` learns from the open pushes
     with_effects: Identification | None  # the same with the best effects; None where there is none
     base: Fitted  # fitted model without effects
     motion_error: float  # α of the final error model
     force_error: float  # β of the final error model
     quick: bool  # whether calibration was skipped
-    seconds: float  # it took
-    seed: int  # of all draws
-    # what to do next as plain numbers, filled in by a planner; None where nothing is to be told apart
+    seconds: float  # run time
+    seed: int  # of all random draws
+    # the push to make next as plain numbers, filled in by a planner; None where it would decide nothing
     next_push: dict[str, object] | None = field(default=None)
 
     @property
     def before(self) -> LockedErrors | None:
-        """Errors on locked pushes without any effect; None where none was locked."""
+        """Errors on locked pushes without any effect; None where none were locked."""
         return locked_errors(self.without_effects)
 
     @property
     def after(self) -> LockedErrors | None:
-        """Errors on locked pushes with the best effects; the same as before where there is none."""
+        """Errors on locked pushes with the best effects; equal to `before` where there are none."""
         return self.before if self.with_effects is None else locked_errors(self.with_effects)
 
     @property
@@ -108,7 +108,7 @@ class Diagnosis(Outcome):
 
     @property
     def coarseness(self) -> float:
-        """How many times longer than usual the simulation's steps were."""
+        """Factor by which the simulation's steps were longer than usual."""
         return QUICK_COARSENESS if self.quick else 1.0
 
     @property
@@ -123,30 +123,30 @@ class Diagnosis(Outcome):
         return tuple(p for name in self.effects for p in found.get(name, ()))
 
     def next_step(self, where: str = "DATASET") -> str:
-        """What to do next, with the command to type; `where` is the dataset as a command takes it."""
+        """What to do next, with the command to type; `where` names the dataset in that command."""
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
-            return f"mend the records; `slipmap check {where}` says whether they fit, then {again} again."
+            return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
         push = "record the proposed push" if self.next_push is not None else "record more pushes"
         if self.quick and self.verdict != "adequate":
-            return f"{again}, without --quick, says how sure that is."
+            return f"run {again} without --quick to learn how certain this is."
         if self.verdict == "adequate":
-            return f"`slipmap identify {where} -o belief.npz` learns the model to plan with."
+            return f"run `slipmap identify {where} -o belief.npz` to learn the model to plan with."
         if self.verdict == "effect":
             names = " ".join(f"--effect {name}" for name in self.effects)
             more = "" if set(self.best.effects) <= set(LIBRARY) else " --effect-file FILE"
-            return f"`slipmap fit {where} {names}{more} -o belief.npz` learns the model with it."
+            return f"run `slipmap fit {where} {names}{more} -o belief.npz` to learn this model."
         if self.verdict == "ambiguous":
-            return f"{push} beside the others, then run {again} again."
+            return f"{push} into the same folder, then run {again} again."
         if self.verdict == "unknown":
             return (
-                f"`slipmap compare {where}` shows where and how it fails; write the effect down and try it"
-                f" with `slipmap diagnose {where} --effect-file FILE`."
+                f"run `slipmap compare {where}` to see where and how the model fails; write your own effect"
+                f" in a file and try it with `slipmap diagnose {where} --effect-file FILE`."
             )
         return f"{push}, then run {again} again; `slipmap compare {where}` shows where the model fails."
 
     def to_json(self, where: str = "DATASET") -> dict[str, object]:
-        """The machine-readable result; lengths in m, null where there is none; `where` as for `next_step`."""
+        """The machine-readable result; lengths in m, null for what is absent; `where` as in `next_step`."""
 
         def mean(errors: LockedErrors | None, name: str) -> float | None:
             return None if errors is None else float(getattr(errors, name).mean())

@@ -1,11 +1,11 @@
-"""What each candidate would add to a fitted model, to first order, with everything else refitted.
+"""Screening: the gain of each candidate over a fitted model, to first order, with everything else refitted.
 
-One rollout of the model with all candidates at their nulls gives, for each open push, derivatives by maps,
-by the effects already in, and by every candidate. The gain of a candidate is the rise of the predictive
-score on pushes left out. What gains come about by chance is simulated: residuals drawn from the error
-model, the largest gain over all candidates taken.
+One rollout of the model with all candidates at their nulls gives, for each open push, derivatives with
+respect to the maps, the effects already present, and every candidate. The gain of a candidate is the increase
+of the predictive score on left-out pushes. The largest gains by chance are simulated with residuals drawn
+from the error model.
 
-Every model, with or without a candidate, may have every effect to a negligible amount (`_TOLERANCE`), so
+Every model, with or without a candidate, may include every effect to a negligible amount (`_TOLERANCE`), so
 that a table that is level to a tenth of a degree counts as level.
 """
 
@@ -39,13 +39,13 @@ class Screening:
     """Gains of candidates on top of a fitted model."""
 
     candidates: tuple[Effect, ...]  # the effects that were tried
-    gain: FloatArray  # (C,) best gain of each over its starts, in nats
-    start: np.ndarray  # (C,) which start it was
-    chance: FloatArray  # (C, D) the same gains for simulated data without any missing effect
-    # (C, D) the same for the data with the residuals of whole pushes turned round at random; the first are
-    # the data as they are
+    gain: FloatArray  # (C,) best gain of each over its starts, nats
+    start: np.ndarray  # (C,) index of the best start
+    chance: FloatArray  # (C, D) the same gains for data simulated without any missing effect
+    # (C, D) the same for the data with the residuals of whole pushes flipped in sign at random; the first
+    # column is the data unchanged
     turned: FloatArray
-    # (C,) smallest standard deviation that the data leave of an amplitude, in its scales
+    # (C,) smallest standard deviation of an amplitude that the data leave, in its scales
     sharpness: FloatArray
 
     @property
@@ -54,12 +54,12 @@ class Screening:
         return {c.name: float(gain) for c, gain in zip(self.candidates, self.gain, strict=True)}
 
     def p_value(self, gain: float) -> float:
-        """Share of simulated datasets whose largest gain is at least this one, the data among them."""
+        """Share of datasets, simulated and measured, whose largest gain is at least this one."""
         largest = self.chance.max(axis=0)
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
 
     def p_of_agreement(self) -> float:
-        """Share of data with pushes turned round whose largest gain is as large; small where pushes agree."""
+        """Share of sign flips whose largest gain reaches that of the data; small where pushes agree."""
         largest = self.turned.max(axis=0)
         return float((largest >= largest[0] - 1e-9).mean())
 
@@ -77,14 +77,14 @@ def screen(
     """Gains of all effects on top of a fitted model.
 
     Args:
-        fitter: knows the data.
+        fitter: holds the data.
         fitted: the model, at its optimum.
         everything: named effects, then probes.
-        named: how many of them are named; their negligible amounts are allowed for.
+        named: number of named effects; every model may include these to a negligible amount.
         scene: for the candidates' starts.
         draws: D, simulated datasets.
         rng: of the draws.
-        progress: called with the number of parts done and that of all.
+        progress: called with the numbers of parts done and of all parts.
     """
     report = progress or (lambda done, total: None)
     jacobians, residuals, base_columns, own_columns = _stacked(fitter, fitted, everything, scene, report)
@@ -154,12 +154,12 @@ def screen(
 
 
 class _Stacked(NamedTuple):
-    """Whitened derivatives of all pushes by everything that may be among a model's coordinates."""
+    """Whitened derivatives of all pushes over everything that may be a coordinate of a model."""
 
     jacobians: list[FloatArray]  # (R_b, W) of each push
     residuals: list[FloatArray]  # (R_b,) of each push
     base_columns: np.ndarray  # of the fitted model
-    own_columns: list[list[np.ndarray]]  # of each effect, for each of its starts; of those in the model none
+    own_columns: list[list[np.ndarray]]  # of each effect, for each of its starts; none for those in the model
 
 
 def _stacked(
@@ -186,7 +186,7 @@ def _stacked(
     jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
     guesses = max(len(starts[i]) for i in candidates)
     for g in range(guesses):
-        report(g, guesses + 1)  # the last part, all scores, takes about as long as a few of the others
+        report(g, guesses + 1)  # the last part, all scores, takes about as long as several of the others
         guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
         z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
         for i in candidates:

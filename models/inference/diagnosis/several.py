@@ -1,16 +1,16 @@
-"""Which effect do several datasets miss together? Objects with maps of their own on one table, before one
+"""Find the effect that several datasets lack together: objects with their own maps on one table, seen by one
 tracker.
 
-1. Of each dataset some pushes are locked away; of four datasets or more, one object in four as a whole.
-2. The model without effects is fitted to each, and every effect added to first order, all maps refitted.
-   Those that promise most are refitted in full.
-3. What an effect gains is counted as evidence: the fall of the cost less what its parameters, free within
-   their scales, would gain anyway (Laplace). Effects whose evidence comes near the best one's are rivals.
-4. The locked pushes judge each rival, the maps of every object fitted anew with the shared parameters held:
-   their cost has to fall, in all and in most datasets. Rivals that are behind, open and locked pushes taken
-   together, are out.
+1. Some pushes of each dataset are locked away; with four datasets or more, so is one whole object in four.
+2. The model without effects is fitted to each dataset, and every effect is added to first order with all maps
+   refitted. The most promising effects are refitted in full.
+3. Evidence for an effect is the drop in cost less what its parameters, free within their scales, would gain
+   anyway (Laplace). Effects whose evidence is close to the best are rivals.
+4. The locked pushes judge each rival, with the maps of every object refitted and the shared parameters held.
+   Their cost must drop in total and in most datasets. A rival that falls behind on open and locked pushes
+   together is out.
 
-Effects of an object have parameters of their own in each dataset; a whole locked object then has them free.
+Effects of an object have separate parameters in each dataset; for a whole locked object they are free.
 """
 
 from __future__ import annotations
@@ -40,34 +40,34 @@ from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, part_of, silent
 
 _REFITTED = 8
-"""Effects that are refitted in full."""
+"""Number of effects that are refitted in full."""
 
 _EVIDENCE = 5.0
-"""Nats from which an effect counts: 150 to 1."""
+"""Evidence, in nats, above which an effect counts: 150 to 1."""
 
 _ALONE, _AHEAD = 20.0, 0.8
-"""The same where one dataset answers alone, and the share of it that the next effect may have at most."""
+"""The same for a single dataset, and the largest share of it that the next effect may reach."""
 
 _RIVAL = 3.0
-"""Nats by which a rival may be behind, and by which the cost of the locked pushes has to fall: 20 to 1."""
+"""Nats by which a rival may be behind, and by which the cost of the locked pushes must drop: 20 to 1."""
 
 _JUDGED = 3
-"""Effects that the locked pushes judge at most."""
+"""Most effects that the locked pushes judge."""
 
 _WHOLE_FROM = 4
-"""Datasets from which on one in as many is locked away as a whole."""
+"""One dataset in this many is locked away as a whole."""
 
 _NEAR_NOISE = 2.0
-"""Misfit of locked pushes, in sensor noise, up to which nothing calls for an explanation."""
+"""Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointCandidate:
-    """What several datasets say of one effect."""
+    """What several datasets say about one effect."""
 
     name: str
-    first_gain: float  # fall of the cost to first order, nats
-    gain: float | None  # the same refitted; None where it was not
+    first_gain: float  # drop in cost to first order, nats
+    gain: float | None  # the same after a full refit; None without one
     evidence: float | None  # the same less what its parameters would gain anyway
     in_set: bool  # whether the data cannot rule it out
 
@@ -77,13 +77,13 @@ class DatasetResult:
     """One dataset of several."""
 
     name: str
-    open_trials: tuple[str, ...]  # that were fitted
-    locked: tuple[str, ...]  # that judge
-    whole: bool  # whether the object was locked away as a whole: its pushes taught its maps alone
+    open_trials: tuple[str, ...]  # pushes that were fitted
+    locked: tuple[str, ...]  # pushes that judge
+    whole: bool  # whether the whole object was locked away: its open pushes taught only its maps
     before: LockedErrors | None  # without effects; None where nothing was locked
     after: LockedErrors | None  # with the best effect; None where there is none
-    fall: float | None  # of the cost of its locked pushes with the best effect, nats
-    # what this dataset alone says of the best effect's parameters, to first order; none of a whole locked one
+    fall: float | None  # drop in cost of its locked pushes with the best effect, nats
+    # the best effect's parameters from this dataset alone, to first order; empty for a whole locked object
     alone: tuple[ParameterEstimate, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -115,13 +115,13 @@ class JointDiagnosis:
     """Result of `diagnose_together`."""
 
     verdict: str  # adequate, effect, ambiguous or undecided
-    sentence: str  # the verdict for a person
+    sentence: str  # the verdict in words
     effects: tuple[str, ...]  # what the data cannot rule out, best first
     shared: bool  # whether the datasets have one set of the best effect's parameters
-    parameters: tuple[ParameterEstimate, ...]  # shared ones of the effects, each fitted without the others
+    parameters: tuple[ParameterEstimate, ...]  # shared parameters of the effects, each effect fitted alone
     candidates: tuple[JointCandidate, ...]  # best first
     datasets: tuple[DatasetResult, ...]
-    fall: float | None  # of the cost of all locked pushes with the best effect, nats
+    fall: float | None  # drop in cost of all locked pushes with the best effect, nats
     seconds: float
     seed: int
 
@@ -133,16 +133,15 @@ class JointDiagnosis:
     def next_step(self) -> str:
         """What to do next, with the command to type."""
         if self.effect is not None:
-            return (
-                f"`slipmap fit DATASET --effect {self.effect}`, for each dataset, learns the model with it."
-            )
+            return f"for each dataset, run `slipmap fit DATASET --effect {self.effect}` to learn this model."
         if self.verdict == "adequate":
             return (
-                "`slipmap identify DATASET -o belief.npz`, for each dataset, learns the model to plan with."
+                "for each dataset, run `slipmap identify DATASET -o belief.npz` to learn the model to plan"
+                " with."
             )
         return (
-            "`slipmap diagnose DATASET` for each alone, as what only one of them has is not found together;"
-            " or --apart, which names what they do not share."
+            "run `slipmap diagnose DATASET` for each dataset, since a joint diagnosis misses what only one of"
+            " them has; or name with --apart what they do not share."
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -178,18 +177,18 @@ def diagnose_together(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> JointDiagnosis:
-    """Find out which physical effect several datasets miss together.
+    """Find out which physical effect several datasets lack together.
 
     Args:
         datasets: two or more, each of one object.
         effects: candidates.
-        apart: owners of effects that the datasets do not share, of `object`, `table`, `tracker`, `finger`,
-            `force sensor`; objects are never shared.
-        seed: of what is locked away.
+        apart: owners of effects that the datasets do not share, out of `object`, `table`, `tracker`,
+            `finger`, `force sensor`; the object is never shared.
+        seed: of the draw of locked pushes.
         progress: called with (stage, done, total).
 
     Raises:
-        DatasetError: fewer than two datasets, two of one name, or one without a push left to fit.
+        DatasetError: fewer than two datasets, two with the same name, or one without a push left to fit.
         ValueError: an unknown owner in `apart`.
 
     Example:
@@ -203,11 +202,11 @@ def diagnose_together(
     """
     strangers = [owner for owner in apart if owner not in get_args(Owner)]
     if strangers:
-        raise ValueError(f"apart: there is no {strangers[0]!r}; there are {', '.join(get_args(Owner))}")
+        raise ValueError(f"apart: unknown owner {strangers[0]!r}; choose from {', '.join(get_args(Owner))}")
     names = [dataset.name for dataset in datasets]
     if len(datasets) < 2 or len(set(names)) < len(names):
         raise DatasetError(
-            f"several datasets are diagnosed together: give two or more of different names, got"
+            "a joint diagnosis needs two or more datasets with different names, got"
             f" {', '.join(names) or 'none'}"
         )
     started = time.perf_counter()
@@ -218,16 +217,16 @@ def diagnose_together(
 def named_by_evidence(
     dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: StageProgress
 ) -> Effect | None:
-    """The effect that one dataset names by evidence and by its locked pushes, under the forgiving likelihood.
+    """The effect that one dataset names by evidence and locked pushes, under the forgiving likelihood.
 
-    Where pushes are missed by many times the noise, a few of them decide a strict fit. It has to be the one
-    of the largest evidence, far ahead of the next, and beyond what the errors of grid and contact may feign.
+    Where pushes are missed by many times the noise, a few of them decide a strict fit. The effect must have
+    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic.
 
     Args:
         dataset: with the locked pushes held out.
         effects: candidates.
         seed: of the predictions.
-        progress: called with the number of parts done and that of all.
+        progress: called with the numbers of parts done and of all parts.
     """
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
     found = inquiry.run()
@@ -243,14 +242,14 @@ def named_by_evidence(
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """One dataset before anything was asked."""
+    """One dataset, fitted without effects, with its locked pushes."""
 
     taught: Taught
     locked: Sequence[Observation]
     whole: bool
 
     def judged(self, prior: MapPrior, z: FloatArray, seed: int) -> tuple[LockedErrors, FloatArray] | None:
-        """Errors of the locked pushes at coordinates z (d,), and their costs (L,); None without any."""
+        """Errors and costs (L,) of the locked pushes at coordinates z (d,); None without locked pushes."""
         if not self.locked:
             return None
         dataset, slider = self.taught.dataset, prior.slider
@@ -275,17 +274,17 @@ class _Judged:
     effect: Effect
     fit: JointFit
     after: list[LockedErrors | None]  # of each dataset
-    falls: list[float]  # of the costs of each dataset's locked pushes, nats
-    score: float  # evidence of the open pushes and fall of the locked ones, nats
+    falls: list[float]  # drop in cost of each dataset's locked pushes, nats
+    score: float  # evidence from the open pushes plus drop in cost of the locked ones, nats
 
     @property
     def fall(self) -> float:
-        """Of all locked pushes."""
+        """Drop in cost of all locked pushes, nats."""
         return sum(self.falls)
 
     @property
     def falls_in_most(self) -> bool:
-        """Whether it is no single dataset's matter."""
+        """Whether the cost drops in more than half of the datasets that have locked pushes."""
         judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
         return sum(fall > 0.0 for fall in judging) > len(judging) / 2
 
@@ -314,8 +313,8 @@ class _Inquiry:
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
 
     def run(self) -> JointDiagnosis:
-        """Go through the steps; the time is left at 0."""
-        first = self.together.first_gains(self.effects, partial(self.report, "asking every effect"))
+        """Go through the steps; `seconds` stays 0."""
+        first = self.together.first_gains(self.effects, partial(self.report, "screening effects"))
         base = self.together.fitted((), ())
         fits: dict[str, JointFit] = {}
         evidence: dict[str, float] = {}
@@ -351,7 +350,7 @@ class _Inquiry:
         return self._answer(kept, judged, candidates)
 
     def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
-        """Errors on the locked pushes, every object's maps fitted anew with the effect held."""
+        """Errors on the locked pushes, with every object's maps refitted and the effect held."""
         (effect,) = fit.effects
         shared = is_shared(effect, self.apart)
         after: list[LockedErrors | None] = []
@@ -369,14 +368,14 @@ class _Inquiry:
         return _Judged(effect, fit, after, falls, evidence + sum(falls))
 
     def _there(self, one: _Judged) -> bool:
-        """Whether the interval of some amplitude does not hold its null."""
+        """Whether the interval of any amplitude excludes its null; True for an effect that is not shared."""
         if not is_shared(one.effect, self.apart):
             return True
         pairs = zip(one.effect.parameters, self._estimates(one), strict=True)
         return any(p.null is not None and not e.low <= p.null <= e.high for p, e in pairs)
 
     def _estimates(self, one: _Judged) -> tuple[ParameterEstimate, ...]:
-        """Shared parameters with 90 % intervals, wider where the datasets differ by more than each allows."""
+        """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
         values, deviations = one.fit.values(0), one.fit.deviations(0)
         alone = [one.fit.alone(k) for k in range(len(self.asked))]
         for i in np.flatnonzero(one.effect.amplitudes):
@@ -391,21 +390,24 @@ class _Inquiry:
         best = kept[0] if kept else None
         squares = [one[0].misfit ** 2 for one in self.before if one is not None]
         if len(names) == 1:
-            verdict, sentence = "effect", f"The datasets miss one effect: {names[0]}."
+            verdict, sentence = "effect", f"The model lacks one effect in these datasets: {names[0]}."
         elif names:
             verdict = "ambiguous"
-            sentence = f"An effect is missing; the data cannot tell which of these it is: {', '.join(names)}."
+            sentence = (
+                "The model lacks an effect; the datasets cannot tell which of these it is:"
+                f" {', '.join(names)}."
+            )
         elif judged:
             verdict = "undecided"
             sentence = (
-                f"On the open pushes {judged[0].effect.name} would explain something, but the locked pushes"
-                " are not clearly better predicted with it."
+                f"On the open pushes, {judged[0].effect.name} would explain something, but the locked pushes"
+                " are not clearly predicted better with it."
             )
         elif squares and float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
             verdict = "undecided"
             sentence = (
-                "The model is farther off than the sensors' noise, but no effect that the datasets could miss"
-                " together explains it."
+                "The model error is larger than the sensor noise, but no effect that the datasets could share"
+                " explains it."
             )
         else:
             verdict, sentence = "adequate", "The model explains the data; no effect is missing."
@@ -440,15 +442,17 @@ def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progres
     locked = locked_trials(dataset, rng)
     open_trials = [trial for trial in dataset.trials if trial.name not in locked]
     if not open_trials:
-        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+        raise DatasetError(
+            f"dataset {dataset.name} has no push left to fit; set the role of at least one push to fit"
+        )
     taught = Taught.of(dataset, observe_all(dataset, open_trials), progress)
     judging = [trial for trial in dataset.trials if trial.name in locked]
     return _Ground(taught, observe_all(dataset, judging), whole)
 
 
 def _between(values: FloatArray, deviations: FloatArray) -> float:
-    """Variance of a quantity between datasets, beyond what each one's standard deviation explains
-    (DerSimonian and Laird, 1986); 0 of one."""
+    """Variance of a quantity between datasets in excess of their standard deviations (DerSimonian and Laird,
+    1986); 0 for a single dataset."""
     if len(values) < 2:
         return 0.0
     weights = deviations**-2.0
@@ -458,7 +462,7 @@ def _between(values: FloatArray, deviations: FloatArray) -> float:
 
 
 def _intervals(effect: Effect, values: FloatArray, spread: FloatArray) -> tuple[ParameterEstimate, ...]:
-    """90 % intervals, cut at the allowed range."""
+    """90 % intervals, clipped to the allowed range."""
     allowed = bounds([effect])
     rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
     numbers = zip(effect.parameters, *rows, strict=True)

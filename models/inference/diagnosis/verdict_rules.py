@@ -1,4 +1,4 @@
-"""When does a gain count? Thresholds of a diagnosis, and the rules that its verdicts follow from."""
+"""When a gain counts: the thresholds of a diagnosis, and the rules behind its verdicts."""
 
 from __future__ import annotations
 
@@ -15,74 +15,73 @@ from slipmap.models.inference.results import Identification
 from slipmap.models.physics.cell_grid import FloatArray
 
 LEVEL = 0.01
-"""Gains that come about by chance more seldom than this count."""
+"""Largest p-value at which a gain counts."""
 
 FEWEST_DRAWS = 99
-"""Simulated datasets without which no p-value could reach the level."""
+"""Fewest simulated datasets with which a p-value can reach the level."""
 
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
 _MATERIAL = 0.03
-"""What gains less than this share on top of an effect's own gain is a matter of its exact form."""
+"""An addition that gains less than this share of an effect's own gain only corrects its exact form."""
 
 _MATERIAL_BY_FAR = 0.01
-"""The same where it gains more than `PROBE_GAIN`: effects that act like the hidden one and are not it left 28
-nats and more, 1 to 3 % of their own; hidden effects themselves left up to 13, or less than 0.5 %."""
+"""The same where the addition gains more than `PROBE_GAIN`. Effects that only resembled the hidden one left
+28 nats or more, 1 to 3 % of their own gain; the hidden effects themselves left at most 13, under 0.5 %."""
 
 PROBE_GAIN = 20.0
-"""Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
-which are not exact: a probe's does not count, and an effect is not named for it."""
+"""Gain, in nats, below which a finding in the model without effects may come from errors of the grid and the
+contact: a probe's gain does not count, and no effect is named for it."""
 
 UNKNOWN_GAIN = 45.0
-"""Gain, in nats, from which a finding that no effect explains is called unknown physics. Between this and
-`PROBE_GAIN` lie what really was unknown and what an independent simulator, with nothing hidden, gained by its
-own grid and contact (up to 40 nats): there the verdict is that it cannot be told."""
+"""Gain, in nats, from which a finding that no effect explains is called unknown physics. Gains between
+`PROBE_GAIN` and this came both from real unknown effects and from the different grid and contact of an
+independent simulator with nothing hidden (up to 40 nats); there the verdict is undecided."""
 
 PAIR_GAIN = 2 * UNKNOWN_GAIN
-"""Gain, in nats, that two effects have to have together when refitted. Each may hide the other from the first
-question, but a faint finding that no effect explains is not two effects."""
+"""Gain, in nats, that two effects must reach together when refitted. Each may hide the other in the first
+screening, but a faint finding that no effect explains is not two effects."""
 
 _FAR_OFF = 2.0
-"""Misfit of locked pushes, in sensor noise, that calls for an explanation."""
+"""Misfit of locked pushes, in units of sensor noise, that calls for an explanation."""
 
 _FAR_ABOVE_NOISE = 3.0
-"""Misfit, in sensor noise, from which no model is adequate: that of the typical push, so that one which
-starts near to balance does not decide. Of simulated pushes with nothing hidden it is 1.0 to 1.6."""
+"""Misfit of the typical push, in units of sensor noise, above which no model is adequate. The typical
+push is taken so that one that starts near balance does not decide. With nothing hidden it is 1.0 to 1.6."""
 
 _LEAST_HELP = 0.1
-"""Share by which an answer has to lower it. The true effect lowers it several times over; one that bends to
-a few open pushes does not."""
+"""Share by which an answer must lower the misfit of far-off locked pushes. The true effect divides it by
+several; one that overfits a few open pushes does not."""
 
 _REST_GAIN = 8.0
-"""The same for all that is found on top of an effect, where it may come from the effect's exact form."""
+"""Gain, in nats, below which anything found on top of an effect may come from the effect's exact form."""
 
 _CLEARLY_WORSE = 0.02
 CLEARLY_WORSE_GAIN = 40.0
-"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
-that alone."""
+"""A candidate whose gain is below the best by both this share and this many nats is ruled out."""
 
 _CLEARLY_WORSE_QUICKLY = 0.1
-"""The share where chance was not simulated: searches are cut short then."""
+"""The share where chance was not simulated, because searches are then cut short."""
 
 _NEARLY = 0.05
-"""The share for one that predicts pushes left out better than the best."""
+"""The share for a candidate that predicts left-out pushes better than the best one does."""
 
 _FAR_WORSE = 0.6
 _FAR_WORSE_GAIN = 10.0
-"""The same share and nats for one that is not even asked what it leaves."""
+"""The same share and nats beyond which a candidate is not screened for what it leaves."""
 
 ROUGH = 0.03
-"""α above which an error model is rough: no sensor's noise, but a description of pushes that scatter."""
+"""α above which an error model is rough: it describes pushes that scatter, not sensor noise."""
 
 AGREEMENT = 0.05
-"""Share of sign changes of whole pushes that may gain as much, where the error model is rough."""
+"""Share of random sign flips of whole pushes that may gain as much, where the error model is rough."""
 
 FEWEST_PUSHES = 4
-"""Pushes below which nothing found does not mean that nothing is there."""
+"""With fewer pushes than this, finding nothing does not mean that nothing is missing."""
 
 _BLIND = 1.0
-"""Standard deviation, in scales, above which the pushes could not have shown an effect of ordinary size."""
+"""Standard deviation, in scales, above which pushes could not have revealed an effect of ordinary size."""
 
 
 @dataclass(frozen=True)
@@ -91,33 +90,33 @@ class Remainder:
 
     # the effect or probe whose gain shows that the candidate does not explain the data, or None
     rejected_by: str | None
-    gain: float  # of that addition, or else the largest, nats
+    gain: float  # of that addition, or otherwise the largest one, nats
     p_value: float | None  # of that gain; None where chance was not simulated
-    clean: bool  # whether nothing at all is left
+    clean: bool  # whether nothing significant is left
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What counts, for some candidates."""
+    """Rules for one set of candidates."""
 
     effects: tuple[Effect, ...]  # the named candidates; all others are probes
     simulated: bool  # whether chance was simulated, so that there are p-values
 
     def p_value(self, screening: Screening, gain: float) -> float | None:
-        """Of a gain; None where chance was not simulated."""
+        """The p-value of a gain; None where chance was not simulated."""
         return screening.p_value(gain) if self.simulated else None
 
     def beyond_chance(self, screening: Screening, gain: float) -> bool:
-        """Whether chance hardly gains as much."""
+        """Whether chance is unlikely to gain as much."""
         return screening.p_value(gain) <= LEVEL if self.simulated else gain > QUICK_GAIN
 
     def found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
-        """Index of the candidate whose gain counts most, or None where all of it may be chance.
+        """Index of the largest gain that counts, or None where none does.
 
         Args:
             screening: gains.
-            floor: that a named effect has to exceed.
-            probe_floor: that a probe has to exceed.
+            floor: gain that a named effect must exceed, nats.
+            probe_floor: gain that a probe must exceed, nats.
         """
         for i in np.argsort(-screening.gain):
             gain = float(screening.gain[i])
@@ -143,17 +142,17 @@ class Rules:
         )
 
     def stands(self, first: Screening, name: str, fitted_gain: float) -> bool:
-        """Whether a candidate's own gain is beyond chance and more than the grid's errors may feign.
+        """Whether a candidate gains more than chance and more than grid errors can mimic.
 
-        To first order, or by far when refitted.
+        The gain counts to first order, or, if three times as large, when refitted.
         """
         gain = float(first.gain[[c.name for c in first.candidates].index(name)])
         return (gain > PROBE_GAIN and self.beyond_chance(first, gain)) or fitted_gain > 3 * PROBE_GAIN
 
     def stands_faintly(self, first: Screening, name: str, fitted_gain: float) -> bool:
-        """Whether it is half of what `stands` asks, and beyond chance: then the locked pushes decide.
+        """Whether a candidate reaches half of what `stands` requires, and is beyond chance.
 
-        Of what has nothing hidden, hardly one in forty comes so far.
+        The locked pushes then decide. Fewer than one in forty datasets with nothing hidden get this far.
         """
         gain = float(first.gain[[c.name for c in first.candidates].index(name)])
         return (
@@ -164,9 +163,9 @@ class Rules:
         )
 
     def completes(self, rest: Screening, second_gain: float) -> bool:
-        """Whether a second effect that gains `second_gain` nats makes a pair that leaves nothing.
+        """Whether a second effect that gains `second_gain` nats completes the explanation.
 
-        What is left must be small beside the gain of the second effect, not only of both.
+        What is left must be small compared with the second effect's gain, not only with the gain of both.
         """
         found = self.found(rest, _REST_GAIN, _REST_GAIN)
         enough = found is None or rest.gain[found] < 2 * _MATERIAL * second_gain
@@ -178,14 +177,14 @@ class Rules:
         return gain > best - max(CLEARLY_WORSE_GAIN, share * best)
 
     def blind(self, first: Screening) -> bool:
-        """Whether the pushes could not have shown most effects of ordinary size."""
+        """Whether the pushes could not have revealed most effects of ordinary size."""
         pairs = zip(first.candidates, first.sharpness, strict=True)
         seen = [sharpness for effect, sharpness in pairs if effect in self.effects]
         return sum(1 for sharpness in seen if sharpness > _BLIND) > len(seen) / 2
 
 
 def worth_asking(gain: float, best: float) -> bool:
-    """Whether a refitted candidate is near enough to the best one to be asked what it leaves."""
+    """Whether a refitted candidate is close enough to the best one to be screened for what it leaves."""
     return gain > best - max(_FAR_WORSE_GAIN, _FAR_WORSE * best)
 
 
@@ -195,17 +194,17 @@ def not_outdone(
     gains: Mapping[str, float],
     predicted: Mapping[str, float],
 ) -> list[str]:
-    """Those accepted: one that leaves nothing at all beats those that leave a little and explain less.
+    """Accepted candidates, without those that leave a little and explain less than one that leaves nothing.
 
-    By how much less grows with the gain, as do the errors of an effect's exact form: beside 2200 nats, 20 do
-    not tell a tilted table from a far tether that pulls almost like one. One that predicts pushes left out
-    better is not beaten: a richer effect fits closer.
+    The required margin grows with the gain, as do the errors of an effect's exact form: out of 2200 nats, 20
+    do not separate a tilted table from a distant tether that pulls almost the same way. A candidate that
+    predicts left-out pushes better stays, since a richer effect always fits more closely.
 
     Args:
         accepted: names.
         left: what each leaves.
         gains: of each when refitted, nats.
-        predicted: of each on pushes left out, to first order, nats.
+        predicted: gain of each on left-out pushes, to first order, nats.
     """
     clean = [name for name in accepted if left[name].clean]
     if not clean:
@@ -222,16 +221,16 @@ def not_outdone(
 def with_better_predictors(
     accepted: Sequence[str], gains: Mapping[str, float], predicted: Mapping[str, float]
 ) -> list[str]:
-    """Those accepted, and any other that explains nearly as much when refitted and predicts pushes left out
-    better than the best of them, although it leaves a little.
+    """Accepted candidates, and others that gain nearly as much and predict left-out pushes better than the
+    best accepted one, although they leave a little.
 
-    A far tether, with six parameters, follows the small errors of a grid more closely than the tilted table
-    that it imitates with two; what it predicts shows it.
+    A distant tether, with six parameters, fits the small errors of a grid more closely than the tilted table,
+    with two, that it imitates; its predictions give it away.
 
     Args:
-        accepted: names, not none.
+        accepted: names, at least one.
         gains: of all that were refitted, nats.
-        predicted: of each on pushes left out, to first order, nats.
+        predicted: gain of each on left-out pushes, to first order, nats.
     """
     best = max(accepted, key=lambda name: gains[name])
 
@@ -248,43 +247,42 @@ def objection(
     before: LockedErrors | None,
     after: LockedErrors | None,
 ) -> str | None:
-    """What speaks against an answer that the open pushes gave, in a clause; None where nothing does.
+    """The objection to an answer that the open pushes gave, as a clause; None where there is none.
 
     Args:
         effects: of the answer.
         learnt: with them, from the open pushes.
-        rough: whether pushes scatter, or the answer is faint, so that chance could help the locked pushes.
-        before: errors of the locked pushes without the answer.
-        after: the same with it.
+        rough: whether pushes scatter, or the answer is faint, so that locked pushes may improve by chance.
+        before: errors of the locked pushes without the effects.
+        after: the same with them.
     """
     for effect in effects:
         if holds_null(effect, learnt):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
-            return f"{whose} 90 % interval holds nothing at all"
+            return f"{whose} 90 % interval is consistent with no effect at all"
     if locked_pushes_object(rough, before, after):
-        return "the locked pushes do not clearly become better with it"
+        return "the locked pushes are not clearly predicted better with it"
     if locked_pushes_stay_off(before, after):
         return STAYS_OFF
     return None
 
 
-STAYS_OFF = "the locked pushes are as far off with it as without"
+STAYS_OFF = "the locked pushes are predicted as badly with it as without"
 """The objection of `locked_pushes_stay_off`."""
 
 
 def holds_null(effect: Effect, learnt: Identification) -> bool:
-    """Whether the 90 % interval of every parameter at whose null an effect is nothing holds that null."""
+    """Whether the 90 % interval of each of an effect's amplitudes contains its null (no effect)."""
     told = learnt.effect_estimates[effect.name]
     amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]
     return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
 
 
 def locked_pushes_object(rough: bool, before: LockedErrors | None, after: LockedErrors | None) -> bool:
-    """Whether pushes that were locked away speak against an answer, or, if `rough`, not clearly for it.
+    """Whether the locked pushes contradict an answer or, if `rough`, do not clearly support it.
 
-    Their misfit has to fall: as a geometric mean and, where it is near to the noise, as a root mean square,
-    too. Where pushes scatter, or the answer is faint, it has to fall by more than chance from push to push
-    would have it.
+    Their misfit must fall: its geometric mean and, near the noise, also its root mean square. If `rough`, it
+    must fall by more than the scatter from push to push explains.
     """
     if before is None or after is None:
         return False
@@ -296,13 +294,13 @@ def locked_pushes_object(rough: bool, before: LockedErrors | None, after: Locked
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
-    """Whether pushes that were locked away, and are far off, are nearly as far off with the answer."""
+    """Whether locked pushes that are far off stay nearly as far off with the answer."""
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
     return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
 
 
 def far_above_noise(misfit: FloatArray) -> float | None:
-    """The misfit of the typical push, of pushes with some (L,), where that is far above the noise."""
+    """Geometric mean of the pushes' misfits (L,) where it is far above the noise, else None."""
     typical = float(np.exp(np.log(misfit).mean())) if len(misfit) else 0.0
     return typical if typical > _FAR_ABOVE_NOISE else None

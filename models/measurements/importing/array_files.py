@@ -1,7 +1,7 @@
-"""Tables in files of arrays: MATLAB, HDF5, zarr and parquet (LeRobot).
+"""Read tables from array files: MATLAB, HDF5, zarr and parquet (LeRobot).
 
 Nothing in them is executed: objects that need pickles are refused, links that lead out of a file or folder
-are not followed, and what would unpack to more than `MOST_NUMBERS` numbers is not unpacked.
+are not followed, and nothing that would unpack to more than `MOST_NUMBERS` numbers is unpacked.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _BROKEN = (
     OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, AttributeError, ArithmeticError,
     zlib.error,
 )  # fmt: skip
-"""What libraries raise where a file is not what they expect."""
+"""Errors that libraries raise on unexpected files."""
 
 
 def read_hdf5(path: Path, where: str) -> list[Source]:
-    """Tables of an HDF5 file, called after the paths inside it. Raises DatasetError."""
+    """Tables of an HDF5 file, named after the paths inside it. Raises DatasetError."""
     import h5py
 
     _check(path, where)
@@ -61,7 +61,7 @@ def read_hdf5(path: Path, where: str) -> list[Source]:
 
 
 def _hdf5_items(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Arrays of numbers in a file of HDF5, none through links."""
+    """Arrays of numbers in an HDF5 file, without following links."""
     import h5py
 
     if depth > _DEEPEST:
@@ -93,7 +93,7 @@ def read_matlab(path: Path, where: str) -> list[Source]:
         found = dict(_matlab_arrays({k: v for k, v in document.items() if not k.startswith("__")}))
     except DatasetError:
         raise
-    except Exception as error:  # scipy's reader raises whatever broken bytes lead it to
+    except Exception as error:  # scipy's reader can raise anything on broken bytes
         raise _unreadable(where, "MATLAB", error) from None
     return _tables(where, found, "MATLAB")
 
@@ -107,7 +107,7 @@ def _matlab_arrays(document: Mapping[str, Any], prefix: str = "", depth: int = 0
 
 
 def _refuse_exploding_matlab(path: Path, where: str) -> None:
-    """Refuse a file of version 5 whose compressed variables unpack to more than is read."""
+    """Refuse a version 5 file whose compressed variables unpack to more than the limit."""
     unpacked, content = 0, path.read_bytes()
     order = "little" if content[126:128] == b"IM" else "big"
     place = 128
@@ -127,7 +127,7 @@ def _refuse_exploding_matlab(path: Path, where: str) -> None:
 
 
 def read_zarr(path: Path, where: str) -> list[Source]:
-    """Tables of a zarr folder, called after the paths inside it. Raises DatasetError."""
+    """Tables of a zarr folder, named after the paths inside it. Raises DatasetError."""
     try:
         import zarr
     except ImportError:
@@ -135,11 +135,11 @@ def read_zarr(path: Path, where: str) -> list[Source]:
     root = path.resolve()
     for file in path.rglob("*"):
         if not file.resolve().is_relative_to(root):
-            raise DatasetError(f"{where}: {file.relative_to(path)} leads out of the folder")
+            raise DatasetError(f"{where}: {file.relative_to(path)} is a link that leads out of the folder")
         if file.name in (".zarray", ".zmetadata", "zarr.json"):
             said = parsing.parse_json(parsing.read_bytes(file), f"{where}, {file.relative_to(path)}")
             if "pickle" in json.dumps(said, ensure_ascii=True):
-                raise DatasetError(f"{where}: holds pickles, which can hold programs; write plain arrays")
+                raise DatasetError(f"{where}: contains pickles, which can run code; write plain arrays")
     found: dict[str, FloatArray] = {}
     try:
         for name, item in _zarr_items(zarr.open_group(str(path), mode="r"), zarr):
@@ -147,7 +147,7 @@ def read_zarr(path: Path, where: str) -> list[Source]:
             found[name] = _array(item[...])
     except DatasetError:
         raise
-    except Exception as error:  # of every library that unpacks one of its chunks
+    except Exception as error:  # any library that unpacks chunks can raise its own
         raise _unreadable(where, "zarr", error) from None
     return _tables(where, found, "zarr")
 
@@ -162,9 +162,9 @@ def _zarr_items(group: Any, zarr: Any, prefix: str = "", depth: int = 0) -> Iter
 
 
 def read_parquet(path: Path, where: str) -> list[Source]:
-    """The table of a parquet file; lists in its cells are columns `name.0` and on. Raises DatasetError.
+    """The table of a parquet file; lists in cells become columns `name.0` and so on. Raises DatasetError.
 
-    In files of LeRobot `timestamp` is the time, and `episode_index` numbers the pushes.
+    In LeRobot files `timestamp` is the time, and `episode_index` numbers the pushes.
     """
     try:
         from pyarrow import ArrowException, parquet, types
@@ -185,7 +185,7 @@ def read_parquet(path: Path, where: str) -> list[Source]:
                 values = np.asarray(cells.flatten().to_numpy(zero_copy_only=False), dtype=float)
                 width = len(values) // rows if rows else 0
                 if cells.null_count or width * rows != len(values):
-                    continue  # lists of several lengths are no columns
+                    continue  # lists of different lengths are not columns
                 for number in range(width):
                     columns[f"{name}.{number}"] = values.reshape(rows, width)[:, number]
             else:
@@ -195,7 +195,7 @@ def read_parquet(path: Path, where: str) -> list[Source]:
     except (ArrowException, *_BROKEN) as error:
         raise _unreadable(where, "parquet", error) from None
     if not columns:
-        raise DatasetError(f"{where}: holds no columns of numbers")
+        raise DatasetError(f"{where}: contains no columns of numbers")
     time = columns.get("timestamp")
     push = "episode_index" if "episode_index" in columns else ""
     return [Source(where, "", columns, None if time is None else np.asarray(time, dtype=float), push=push)]
@@ -208,7 +208,7 @@ def _holds_numbers(kind: Any, types: Any) -> bool:
 
 
 def _array(values: Any) -> FloatArray:
-    """(T,) or (T, c) numbers with time along the rows, the longer side."""
+    """Numbers (T,) or (T, c) with time along the longer side as rows."""
     array = np.asarray(values, dtype=float)
     if array.ndim == 2 and array.shape[0] < array.shape[1]:
         array = array.T
@@ -218,9 +218,9 @@ def _array(values: Any) -> FloatArray:
 def _tables(where: str, found: Mapping[str, FloatArray], kind: str) -> list[Source]:
     arrays = {name: values for name, values in found.items() if values.size}
     if not arrays:
-        raise DatasetError(f"{where}: holds no arrays of numbers that slipmap can read as {kind}")
+        raise DatasetError(f"{where}: contains no arrays of numbers that slipmap can read as {kind}")
     if len(arrays) > _MOST_ARRAYS:
-        raise DatasetError(f"{where}: holds {len(arrays)} arrays; at most {_MOST_ARRAYS} are read")
+        raise DatasetError(f"{where}: contains {len(arrays)} arrays, but at most {_MOST_ARRAYS} are read")
     return tables_of_arrays(where, arrays)
 
 
@@ -233,7 +233,7 @@ def _check(path: Path, where: str) -> None:
 
 def _refuse_size(numbers: int, where: str) -> None:
     if numbers > MOST_NUMBERS:
-        raise DatasetError(f"{where}: {numbers} numbers are more than the {MOST_NUMBERS} that are read")
+        raise DatasetError(f"{where}: has {numbers} numbers, but at most {MOST_NUMBERS} are read")
 
 
 def _unreadable(where: str, kind: str, error: Exception) -> DatasetError:

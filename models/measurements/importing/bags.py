@@ -1,7 +1,7 @@
-"""Topics of ROS 1 bags, ROS 2 bags and MCAP files as tables; no installation of ROS is needed.
+"""Read topics of ROS 1 bags, ROS 2 bags and MCAP files as tables, without an installation of ROS.
 
-A message's fields are columns such as `pose.position.x`; transforms of /tf are parts `/tf/<child frame>`. The
-clock is that of the messages' own stamps, or of their reception where they have none.
+A message's fields become columns such as `pose.position.x`; transforms of /tf become parts
+`/tf/<child frame>`. The clock is that of the messages' own stamps, or of their reception if they have none.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from slipmap.models.measurements.push_dataset import DatasetError
 
 BAG_ENDINGS = (".bag", ".db3", ".mcap")
 
-_LARGEST_CHUNK = 2**28  # bytes of a chunk when unpacked; recorders make chunks of about 1 MB
-_PART = 2**20  # bytes that are unpacked at a time
-_LONGEST_ARRAY = 32  # numbers of a field that become columns
+_LARGEST_CHUNK = 2**28  # bytes of an unpacked chunk; recorders make chunks of about 1 MB
+_PART = 2**20  # bytes unpacked at a time
+_LONGEST_ARRAY = 32  # most numbers of a field that become columns
 _DEEPEST = 8
 _NO_POSES = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan", "Log", "DiagnosticArray",
              "CameraInfo", "Markers", "MarkerArray", "OccupancyGrid")  # fmt: skip
-"""Kinds of messages that hold no pose, and are long."""
+"""Kinds of long messages without a pose."""
 
 _Message = tuple[str, float, Any]
-"""A part, when the message was received, s, and what it says."""
+"""A part, the time of reception of the message, s, and its content."""
 
 
 def read_bag(path: Path, where: str, wanted: Collection[str] = ()) -> list[Source]:
-    """The topics of a bag, all that may hold poses or forces, or those that are wanted alone.
+    """The topics of a bag: only the wanted ones, or all that may hold poses or forces if none are named.
 
     Raises:
-        DatasetError: a library is not installed, or the bag is broken, or too large.
+        DatasetError: a library is not installed, or the bag is broken or too large.
     """
     for file in path.iterdir() if path.is_dir() else [path]:
         try:
@@ -67,12 +67,12 @@ def read_bag(path: Path, where: str, wanted: Collection[str] = ()) -> list[Sourc
                 numbers += len(row)
                 if numbers > MOST_NUMBERS:
                     raise DatasetError(
-                        f"{where}: more than {MOST_NUMBERS} numbers; name the topics with `part`"
+                        f"{where}: has more than {MOST_NUMBERS} numbers; name the topics with `part`"
                     )
                 tables.setdefault(name, _Rows()).add(_stamp(row) or received, row)
     except DatasetError:
         raise
-    except Exception as error:  # of the libraries, on bytes that are no bag
+    except Exception as error:  # the libraries can raise anything on bytes that are not a bag
         raise DatasetError(
             f"{where}: not readable as a bag ({parsing.shown_error(error)}); was it cut short?"
         ) from None
@@ -87,14 +87,14 @@ def _of_tf(part: str) -> bool:
 
 
 class _Rows:
-    """Rows of a topic, whose fields may come and go."""
+    """Rows of a topic whose fields may vary."""
 
     def __init__(self) -> None:
         self.time: list[float] = []
         self._cells: dict[str, list[float]] = {}
 
     def add(self, time: float, row: Mapping[str, float]) -> None:
-        """The next row."""
+        """Add the next row."""
         for name in row:
             if name not in self._cells:
                 self._cells[name] = [float("nan")] * len(self.time)
@@ -103,7 +103,7 @@ class _Rows:
         self.time.append(time)
 
     def columns(self) -> dict[str, Column]:
-        """(T,) of each field, in the order of the message."""
+        """Columns (T,) of each field, in the order of the message."""
         return {name: np.array(cells) for name, cells in self._cells.items()}
 
 
@@ -122,7 +122,7 @@ def _field(message: Any, name: str) -> Any:
 
 
 def _stamp(row: Mapping[str, float]) -> float:
-    """The message's own time, s; 0 where it has none."""
+    """The message's own time, s; 0 if it has none."""
     for name in ("header.stamp", "timestamp", "stamp"):
         if f"{name}.sec" in row:
             parts = (row.get(f"{name}.{part}", 0.0) for part in ("nanosec", "nsec", "nsecs"))
@@ -131,7 +131,7 @@ def _stamp(row: Mapping[str, float]) -> float:
 
 
 def _flat(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
-    """Numbers of a message, by the names of the fields that lead to them."""
+    """Numbers of a message, by the path of field names."""
     if isinstance(message, bool | int | float | np.number):
         yield prefix[:-1], float(message)
     elif isinstance(message, np.ndarray | list | tuple):
@@ -156,7 +156,7 @@ def _named(message: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
-    """Messages of a bag of ROS 1, or of a folder or database of ROS 2."""
+    """Messages of a ROS 1 bag, or of a ROS 2 folder or database."""
     try:
         from rosbags.rosbag1 import Reader as BagReader
         from rosbags.rosbag2 import Reader as FolderReader
@@ -193,8 +193,8 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
 
 @contextmanager
 def _unpacked(path: Path, where: str) -> Iterator[tuple[Path, Callable[[bytes], bytes]]]:
-    """A bag of ROS 2 that was packed by zstd, as one that is not, and what unpacks a message of it; rosbags
-    would unpack without a bound."""
+    """A ROS 2 bag, with zstd compression removed where whole files have it, and a function that unpacks its
+    messages; rosbags would unpack without a bound."""
     mode = ""
     about: dict[str, Any] = {}
     if path.is_dir():
@@ -238,7 +238,7 @@ def _unpack_file(zstd: Any, file: Path, place: Path, where: str) -> None:
 
 
 def _bounded(chunk: Any, where: str) -> Any:
-    """A chunk of a ROS 1 bag that is not unpacked beyond a size."""
+    """A chunk of a ROS 1 bag with bounded decompression."""
     from rosbags.rosbag1.reader import Compression, decompressors
 
     def unpacked(stream: Any, content: bytes) -> bytes:
@@ -265,7 +265,7 @@ def _bounded(chunk: Any, where: str) -> Any:
 
 
 def _mcap(path: Path, where: str, topics: set[str]) -> Iterator[_Message]:
-    """Messages of an MCAP file whose schemas are those of ROS or JSON."""
+    """Messages of an MCAP file with ROS or JSON schemas."""
     try:
         from mcap.reader import make_reader
     except ImportError:
@@ -280,7 +280,7 @@ def _mcap(path: Path, where: str, topics: set[str]) -> Iterator[_Message]:
         known = {channel.topic for channel in summary.channels.values()} if summary else set()
         if topics and summary and not topics & known:
             listed = ", ".join(sorted(known)[:12])
-            raise DatasetError(f"{where}: has no messages on {', '.join(sorted(topics))}; there are {listed}")
+            raise DatasetError(f"{where}: has no messages on {', '.join(sorted(topics))}; topics: {listed}")
         for schema, channel, message in reader.iter_messages(topics=sorted(topics) or None):
             if schema is None or schema.name.rpartition("/")[2].rpartition(".")[2] in _NO_POSES:
                 continue
@@ -303,5 +303,5 @@ def _decoder(schema: Any, encoding: str, where: str) -> Callable[[bytes], Any]:
         return lambda data: read(data, name)
     raise DatasetError(
         f"{where}: messages of {parsing.shown(schema.name)} are encoded as {parsing.shown(encoding)}; slipmap"
-        " reads JSON and those of ROS"
+        " reads JSON and ROS messages"
     )

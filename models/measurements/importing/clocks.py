@@ -1,7 +1,7 @@
-"""Clocks of several files brought together by contact, and the force of a sensor that nothing touches.
+"""Align the clocks of several files by contact, and find the reading of a force sensor without contact.
 
 The object moves only while the finger touches it: on the right clock the finger's rim lies on the outline
-while the object moves, and nowhere inside of it. A force rises when the finger reaches the outline.
+while the object moves, and never inside it. A force rises when the finger reaches the outline.
 """
 
 from __future__ import annotations
@@ -16,63 +16,63 @@ from slipmap.models.measurements.contact import gaps
 from slipmap.models.measurements.push_dataset import Channel, Setup
 from slipmap.models.physics.cell_grid import FloatArray
 
-_SURE = 2.0  # errors
-_STEP = 0.05  # s of the coarse search
-_MOST_LAGS = 3000  # that are tried by geometry, the likeliest by motion
-_ROWS = 150  # of the object that decide among them
-_COARSE, _FINE = 5e-3, 2e-3  # m of depth or air that count half, of steps of both sizes
-_AIR, _DEPTH = 0.02, 0.03  # m that count at most in the fit
-_TOUCHES = 5e-3  # m, with what frames and outline are wrong by
-_LEAST_TOUCHED = 0.15  # of the rows of motion; the others may be of an object that is carried
+_SURE = 2.0  # standard errors
+_STEP = 0.05  # s, step of the coarse search
+_MOST_LAGS = 3000  # most lags tried by geometry, the likeliest by motion
+_ROWS = 150  # object rows that decide among them
+_COARSE, _FINE = 5e-3, 2e-3  # m of depth or air that count half, in the coarse and fine search
+_AIR, _DEPTH = 0.02, 0.03  # m; larger values are clipped in the fit
+_TOUCHES = 5e-3  # m, including errors of frames and outline
+_LEAST_TOUCHED = 0.15  # share of the rows of motion; in the others the object may be carried
 _FEWEST_ROWS = 10
 _FIT_ROWS = 1500
-_CALIBRATION = 2e-4  # m by which outline and finger may be thicker than said, all along
+_CALIBRATION = 2e-4  # m by which outline and finger may be thicker than stated
 _JITTER = 1e-4  # m, at least
-_SLOWEST = 3e-3  # m/s of an object that moves
+_SLOWEST = 3e-3  # m/s of a moving object
 _SPANS = (0.1, 0.3, 0.8)  # s over which speeds are taken
-_EDGE = 0.15  # s at both ends of a motion in which it may rest still
+_EDGE = 0.15  # s at both ends of a motion in which the object may still rest
 _NEAR_EPOCH = 2.0  # s by which two clocks that both count from 1970 may differ
 
-_FREE = 5e-3  # m of air without a force, however well frames fit
+_FREE = 5e-3  # m of air that rules out a force, whatever the frames
 _SWINGS = 0.3  # s
 _STARTED = 5e-4  # m from where the finger waited at first,
 _APART = 1e-3  # m from the outline there
 _FEWEST_FREE = 10  # rows
-_SHARE = 0.01  # of the largest force, which a bias that matters exceeds
-_ERRORS = 5.0  # standard errors, too
-_RISE = 0.2  # s around the touch in which the force is to rise
-_FORCE_STEP = 0.02  # s of the coarse search for the force
-_USUAL_ROWS = 1200  # of a force among which usual ones are sought
+_SHARE = 0.01  # of the largest force, exceeded by a significant bias,
+_ERRORS = 5.0  # which also exceeds this many standard errors
+_RISE = 0.2  # s around the touch in which the force must rise
+_FORCE_STEP = 0.02  # s, step of the coarse search for the force
+_USUAL_ROWS = 1200  # force rows among which frequent values are sought
 _LEAST_CORRELATION = 0.3
 _FEWEST_AGREEING = 2  # recordings of a session
-_APPROACH = 5e-3  # m/s at least, when a finger touches
+_APPROACH = 5e-3  # m/s, lowest speed of a finger that touches
 _WAITS = 0.4  # s before the touch in which the object rests
-_PASSES = 0.04  # s around it in which the finger's way is straight
+_PASSES = 0.04  # s around it in which the finger's path is straight
 
 
 class Lag(NamedTuple):
-    """What has to be added to a channel's stamps."""
+    """Correction to be added to a channel's stamps."""
 
     value: float  # s
-    error: float  # s, one standard deviation by the spread of what it was taken from
+    error: float  # s, standard deviation
     text: str  # how it was found
-    by_touch: bool = True  # whether contact shows it; else only that both are large together
+    by_touch: bool = True  # whether contact shows it; otherwise only correlation with motion does
 
     @property
     def sure(self) -> bool:
-        """Whether it is more than its error may be."""
+        """Whether it is significant."""
         return abs(self.value) > _SURE * self.error
 
     def contradicts(self, other: Lag) -> bool:
-        """Whether they cannot both be right."""
+        """Whether the two lags are inconsistent."""
         return abs(self.value - other.value) > 3.0 * float(np.hypot(self.error, other.error))
 
 
 def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | None:
-    """What brings the finger's clock to the object's; None where contact does not tell.
+    """The lag that brings the finger's clock to the object's; None if contact does not show it.
 
     Args:
-        near: whether both clocks count from 1970, so that little is missing.
+        near: whether both clocks count from 1970, so that they differ little.
     """
     moving = _moving(setup, pose)
     if not moving.any():
@@ -92,14 +92,14 @@ def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | N
     touched[known] = np.abs(gaps(setup, tip.at(time[known]), pose.values[known])) < _TOUCHES
     if touched.sum() < max(_FEWEST_ROWS, _LEAST_TOUCHED * moving.sum()):
         return None
-    # What moves far from the finger is carried, and tells nothing.
+    # An object that moves far from the finger is being carried, and shows nothing.
     return _refined(setup, pose, tip, touched, best)
 
 
 def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
-    """(T,) rows well inside of motions of the object.
+    """(T,) rows well inside motions of the object.
 
-    Speeds are taken over the shortest time in which the rows' own noise lets the motion be seen.
+    Speeds are taken over the shortest span in which the motion exceeds the noise of the rows.
     """
     reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
     noise = _row_noise(pose, reach)
@@ -111,7 +111,7 @@ def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
             break
     fast = speed > max(_SLOWEST, 5.0 * noise / span, 0.2 * fastest)
     edge = max(_EDGE, 0.75 * span)
-    # A row counts where all rows within the edge move, too.
+    # A row counts if all rows within the edge also move.
     still = np.flatnonzero(~fast)
     if len(still) == 0:
         return fast
@@ -124,8 +124,8 @@ def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
 
 
 def _row_noise(pose: Channel, reach: float) -> float:
-    """Standard deviation of the distance between two rows at one place, m, by third differences, which smooth
-    motion hardly has."""
+    """Standard deviation of the distance between two rows at the same pose, m, from third differences, which
+    are small in smooth motion."""
     if len(pose.time) < 8:
         return 0.0
     third = np.median(np.abs(np.diff(pose.values, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
@@ -133,7 +133,7 @@ def _row_noise(pose: Channel, reach: float) -> float:
 
 
 def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
-    """Rows of motion and, a third, of rest."""
+    """A selection of rows of motion, and a third as many of rest."""
     chosen = []
     for rows, most in ((np.flatnonzero(moving), count), (np.flatnonzero(~moving), count // 3)):
         if len(rows):
@@ -145,7 +145,7 @@ def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
 def _candidates(
     setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], near: bool
 ) -> FloatArray:
-    """Lags that are tried: all in steps, or where they are many, those at which both move together."""
+    """Lags to try: all in steps or, if there are too many, those at which finger and object move together."""
     least = pose.time[moving][0] - tip.time[-1]
     most = pose.time[moving][-1] - tip.time[0]
     if near:
@@ -164,7 +164,7 @@ def _candidates(
 
 
 def _correlated(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(len(one) + len(other) - 1,) products at each shift of the other against the one."""
+    """(len(one) + len(other) - 1,) cross-correlation at each shift of the other relative to the one."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = len(one) + len(other) - 1
@@ -181,8 +181,8 @@ def _misfit(
     lag: float,
     scale: float,
 ) -> float:
-    """Mean over rows of depth, and of air while the object moves, beside a length `scale`: from 0 to 1 each,
-    so that an object that is carried now and then does not decide. A finger that was not recorded is far."""
+    """Mean over rows of depth, and of air while the object moves, relative to a length `scale`, from 0 to 1
+    per row, so that an occasionally carried object does not decide. An unrecorded finger counts as far."""
     time = pose.time[rows] - lag
     known = (time >= tip.time[0]) & (time <= tip.time[-1])
     gap = np.full(len(rows), np.inf)
@@ -194,10 +194,10 @@ def _misfit(
 def _refined(
     setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], lag: float, count: int = _FIT_ROWS
 ) -> Lag:
-    """The lag of least squares, beside a thickness that outline and finger may lack all along.
+    """The least-squares lag, fitted together with a constant thickness that outline and finger may lack.
 
-    While the object rests only depth beyond the noise counts: a finger that waits at the outline would lie
-    inside of it by chance in every second row.
+    While the object rests, only depth beyond the noise counts: a finger that waits at the outline would lie
+    inside it by chance in every second row.
     """
     from scipy.optimize import least_squares
 
@@ -208,7 +208,7 @@ def _refined(
     most = np.where(moving[rows], _AIR, 0.0)
     allowed = np.where(moving[rows], 0.0, 3.0 * noise)
 
-    # Stamps since 1970 have no room for the small steps below.
+    # Stamps since 1970 lack the precision for the small steps below.
     near = Channel(tip.time + lag, tip.values)
 
     def residuals(unknown: FloatArray) -> FloatArray:
@@ -221,7 +221,7 @@ def _refined(
         residuals, np.full(2, 0.05), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-5, ftol=1e-6
     )
     value = lag + 1e-2 * float(found.x[0])
-    # A thickness of the calibration's size would look like so much time.
+    # A thickness of the size of the calibration error would look like this much time.
     speed = float(np.median(np.hypot(*_velocity(pose, moving).T)))
     error = _CALIBRATION / max(speed, 1e-3)
     return Lag(value, error, f"by contact over {int(moving.sum())} rows of motion")
@@ -233,7 +233,7 @@ def _velocity(pose: Channel, rows: NDArray[np.bool_]) -> FloatArray:
 
 
 def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: bool) -> Lag | None:
-    """What brings the force's clock to that of object and finger; None where it does not tell."""
+    """The lag that brings the force's clock to that of object and finger; None if it cannot be found."""
     moving = _moving(setup, pose)
     moving &= gaps(setup, tip.at(pose.time), pose.values) < _AIR
     grid = np.arange(pose.time[0], pose.time[-1], _FORCE_STEP)
@@ -258,15 +258,15 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
         return None
     rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
     if not rises:
-        return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "by when it is large", by_touch=False)
+        return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "from when it is large", by_touch=False)
     rise = lag_by_rises(rises, force)
     return rise._replace(value=coarse + rise.value)
 
 
 def lag_by_rises(rises: Sequence[float], force: Channel) -> Lag:
-    """What has to be added to a force's stamps, of how late it rises at touches.
+    """The correction of a force's stamps from its delays of rise at touches.
 
-    A row may hold the force of the time before or after its stamp, so that a row's time stays unknown.
+    A row may hold the force before or after its stamp, so the error includes one row period.
     """
     middle, error = middle_of(rises)
     count = f"{len(rises)} touch{'es' if len(rises) > 1 else ''}"
@@ -274,7 +274,7 @@ def lag_by_rises(rises: Sequence[float], force: Channel) -> Lag:
 
 
 def usual_lag(lags: Sequence[Lag | None]) -> Lag | None:
-    """What recordings of one session agree on; None where they have clocks of their own, or are too few."""
+    """The lag that recordings of a session agree on; None if their clocks differ, or they are too few."""
     known = [lag for lag in lags if lag is not None]
     if len(known) < _FEWEST_AGREEING:
         return None
@@ -288,12 +288,12 @@ def usual_lag(lags: Sequence[Lag | None]) -> Lag | None:
 
 
 def _row_period(channel: Channel) -> float:
-    """s from row to row."""
+    """Median time from row to row, s."""
     return float(np.median(np.diff(channel.time))) if len(channel.time) > 1 else 0.0
 
 
 def _usual_forces(values: FloatArray) -> list[FloatArray]:
-    """Up to three (2,) forces that most rows are near: one of them is what the sensor reads without touch."""
+    """Up to three frequent forces (2,); one of them is what the sensor reads without contact."""
     chosen = values[np.unique(np.linspace(0, len(values) - 1, _USUAL_ROWS).astype(int))]
     noise = float(np.median(np.abs(np.diff(values, axis=0)))) + 1e-9
     near = max(4.0 * noise, 0.02 * float(np.ptp(chosen, axis=0).max()))
@@ -308,20 +308,20 @@ def _usual_forces(values: FloatArray) -> list[FloatArray]:
 
 
 def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
-    """How late the force rises at each touch that tells, s; negative where it is early."""
+    """Delay of the force's rise at each usable touch, s; negative if it is early."""
     touched = _touches(setup, pose, tip)
     return [rise - touch for touch in touched if (rise := _rise(force, touch)) is not None]
 
 
 def middle_of(values: Sequence[float]) -> tuple[float, float]:
-    """The median, and its standard error by the spread of the others."""
+    """The median, and its standard error from the spread of the values."""
     middle = float(np.median(values))
     spread = 1.4826 * float(np.median(np.abs(np.array(values) - middle)))
     return middle, spread / float(np.sqrt(len(values)))
 
 
 def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
-    """What is missing between two clocks that are nearly one; None where the object does not move."""
+    """The remaining lag between two nearly aligned clocks; None if the object does not move enough."""
     moving = _moving(setup, pose)
     moving &= (pose.time > tip.time[0] + _EDGE) & (pose.time < tip.time[-1] - _EDGE)
     if int(moving.sum()) < _FEWEST_FREE:
@@ -332,7 +332,7 @@ def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
 
 
 def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
-    """When the finger reaches the outline and the object begins to move, s."""
+    """Times at which the finger reaches the outline and the object begins to move, s."""
     gap = gaps(setup, tip.values, pose.at(tip.time))
     moving = np.interp(tip.time, pose.time, _moving(setup, pose).astype(float)) > 0.5
     found = []
@@ -343,10 +343,10 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
         way = np.flatnonzero((tip.time > touch - _PASSES) & (tip.time < touch + _PASSES))
         if not moving[soon].any() or waits.sum() < 3 or len(way) < 4:
             continue
-        # Against the object as it waited: after the touch its own rows would hide when that was.
+        # Use the object's resting pose: its rows after the touch would hide the time of the touch.
         early, late = np.array_split(pose.values[waits], 2)
         if np.hypot(*(np.median(late, axis=0) - np.median(early, axis=0))[:2]) > _STARTED:
-            continue  # it moved already; the gap's noise only looks like a touch
+            continue  # it was already moving; noise of the gap only looks like a touch
         resting = np.median(pose.values[waits], axis=0)
         slope, level = np.polyfit(tip.time[way] - touch, gaps(setup, tip.values[way], resting), 1)
         if slope < -_APPROACH:
@@ -359,7 +359,7 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
 
 
 def _rise(force: Channel, touch: float) -> float | None:
-    """When the force is half way from what it is before a touch to what it is after, s."""
+    """Time at which the force is half way between its values before and after a touch, s."""
     time = force.time
     near = np.flatnonzero((time > touch - _RISE) & (time < touch + _RISE))
     early, late = near[time[near] < touch - 0.5 * _RISE], near[time[near] > touch + 0.5 * _RISE]
@@ -374,9 +374,9 @@ def _rise(force: Channel, touch: float) -> float | None:
     level = 0.5 * (before + after)
     above = inside > level
     if level - before > 8.0 * noise:
-        step = int(np.argmax(above))  # what was struck may be off again for a moment
+        step = int(np.argmax(above))  # after the impact, contact may be lost for a moment
     else:
-        # The step that parts the rows best: fewest above before it, fewest below after it.
+        # The step that separates the rows best: fewest above before it, fewest below after it.
         wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
         step = int(np.argmin(wrong))
     if not 0 < step < len(near):
@@ -389,31 +389,31 @@ def _rise(force: Channel, touch: float) -> float | None:
 def free_force(
     setup: Setup, pose: Channel, tip: Channel, force: Channel
 ) -> tuple[FloatArray, FloatArray, int] | None:
-    """What the sensor reads where nothing touches: (2,) N, (2,) standard error, and on how many rows; None
-    where there are too few of them."""
+    """The sensor's reading without contact: (2,) N, its standard error (2,), and the number of rows; None if
+    there are too few."""
     gap = gaps(setup, tip.at(force.time), pose.at(force.time))
     begin, end = max(pose.time[0], tip.time[0]), min(pose.time[-1], tip.time[-1])
     free = gap > _FREE
     near = force.time[~free]
-    if len(near):  # what was touched swings, and so does its sensor
+    if len(near):  # after contact the finger swings, and with it its sensor
         after = np.searchsorted(near, force.time)
         free &= (after == 0) | (force.time - near[np.maximum(after - 1, 0)] > _SWINGS)
     away = np.hypot(*(tip.values - tip.values[0]).T) > _STARTED
     started = tip.time[np.argmax(away)] if away.any() else tip.time[-1]
     if float(np.percentile(gap, 1)) < -_DEPTH / 3.0:
-        free[:] = False  # the frames are wrong, and the finger is not where it seems to be
+        free[:] = False  # the frames are wrong, so the finger is not where it seems to be
     free |= (force.time < started) & (np.abs(gap) > _APART)
     free &= (force.time >= begin) & (force.time <= end)
     if int(free.sum()) < _FEWEST_FREE:
         return None
     values = force.values[free, :2]
     middle = np.median(values, axis=0)
-    # Rows of a slow wander count together: about a tenth of them is independent.
+    # Slow wander correlates the rows: about a tenth of them are independent.
     spread = 1.4826 * np.median(np.abs(values - middle), axis=0)
     return middle, spread / np.sqrt(max(len(values) / 10.0, 1.0)), len(values)
 
 
 def bias_matters(bias: FloatArray, error: FloatArray, force: Channel) -> bool:
-    """Whether a force without touch is more than chance, and more than a hundredth of what is measured."""
+    """Whether a force without contact is significant and more than a hundredth of the largest force."""
     largest = float(np.percentile(np.hypot(*(force.values[:, :2] - bias).T), 99))
     return bool((np.abs(bias) > _ERRORS * error).any() and np.hypot(*bias) > _SHARE * largest)

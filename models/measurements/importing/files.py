@@ -1,4 +1,4 @@
-"""Which files there are, and the reader of each kind."""
+"""Find files that can be read, and the reader for each kind."""
 
 from __future__ import annotations
 
@@ -26,16 +26,15 @@ _READERS: dict[str, Reader] = {
 }
 _SPREADSHEETS = (".xlsx", ".xls", ".ods")
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".pt", ".pth", ".joblib")
-_NO_TABLES = ("readme", "license")  # beginnings of names of texts in a folder of tables
+_NO_TABLES = ("readme", "license")  # starts of names of texts that are not tables
 KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
 
 
 def find_files(paths: Sequence[Path]) -> dict[str, Path]:
-    """Files that can be read, by the names by which a setup.yaml may call them, in order: those of a folder
-    by their path in it.
+    """Files that can be read, in order, by their names for a setup.yaml; in a folder, the path inside it.
 
     Raises:
-        DatasetError: a path that is missing, a file of another kind, or a folder that holds none.
+        DatasetError: a missing path, a file of another kind, or a folder without readable files.
     """
     found: dict[str, Path] = {}
     for path in paths:
@@ -43,7 +42,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
             raise DatasetError(f"{str(path)!r}: there is no such file or folder")
         if not path.is_dir() or _is_table(path):
             if not _is_table(path):
-                raise DatasetError(f"{path}: a file of a kind that is not read; {_instead(path)}")
+                raise DatasetError(f"{path}: this kind of file cannot be read; {_instead(path)}")
             inside = {path.name: path}
         else:
             inside = {
@@ -61,7 +60,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
             if outside:
                 raise DatasetError(f"{path}: {outside[0]} is a link that leads out of the folder")
             if not inside:
-                raise DatasetError(f"{path}: holds no files that can be read; {KINDS}")
+                raise DatasetError(f"{path}: contains no files that can be read; expected {KINDS}")
         for name, file in inside.items():
             found[name if name not in found else str(file)] = file
     return found
@@ -75,14 +74,14 @@ def _is_table(path: Path) -> bool:
 
 def _instead(path: Path) -> str:
     if path.suffix.lower() in _PICKLES:
-        return "such files can hold programs and are never loaded; write a table as CSV, HDF5 or parquet"
+        return "such files can run code and are never loaded; write a table as CSV, HDF5 or parquet"
     if path.suffix.lower() in _SPREADSHEETS:
-        return "save the sheet as CSV; decimal commas and semicolons are read"
+        return "save the sheet as CSV; decimal commas and semicolons are fine"
     return f"there are readers for {KINDS}"
 
 
 def read_sources(path: Path, where: str, wanted: Collection[str] = ()) -> list[Source]:
-    """The tables of a file; of a bag the wanted topics alone, if any are named. Raises DatasetError."""
+    """The tables of a file; for a bag, only the wanted topics if any are named. Raises DatasetError."""
     ending = path.suffix.lower()
     if ending in BAG_ENDINGS or (path.is_dir() and ending != ".zarr"):
         return read_bag(path, where, wanted)

@@ -1,4 +1,4 @@
-"""A first setup.yaml out of the files alone, with what was concluded from what, for its user to correct."""
+"""Guess a first setup.yaml from the files alone, with comments on how, for the user to correct."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _FORCE = ("force", "wrench", "ft", "netft", "load")
 _MILLIMETRES = 5.0  # above which no position on a table is in m
 _FULL_TURN = 6.6  # rad
 _SLOWEST = 0.5  # s from row to row; no sensor is slower
-_MOST_CHANGES = 0.1  # of the rows, in a column that numbers pushes
-_MOST_FILES = 3  # of each kind that are looked into
+_MOST_CHANGES = 0.1  # share of rows at which a column that numbers pushes changes
+_MOST_FILES = 3  # files of each kind that are examined
 _UNIT = re.compile(r"[ _.]?[\[(]?(?<=[ _.\[(])(ns|us|ms|s|mm|cm|m|deg|rad|mN|kN|N)[\])]?$")
 _PLANE = re.compile(r"(.*?)(x)([\])]?)$", re.IGNORECASE)
 _PUSH = re.compile(r"(push|trial)([_ ]?(id|no|nr|number|index|\d+))?$", re.IGNORECASE)
@@ -37,25 +37,25 @@ class _Found:
 
     source: Source
     file: str  # its name for a setup.yaml
-    columns: tuple[str, ...]  # x, y and, where it is there, z
+    columns: tuple[str, ...]  # x, y and, if present, z
     turn: tuple[str, tuple[str, ...]] | None  # kind and columns
-    values: FloatArray  # (T, 2 or 3) as they stand
+    values: FloatArray  # (T, 2 or 3), unconverted
 
     @property
     def text(self) -> str:
-        """What its names say."""
+        """All its names, in lower case."""
         return " ".join((self.file, self.source.part, *self.columns)).lower()
 
     def speaks_of(self, words: Sequence[str]) -> int:
-        """How surely its names speak of something, by words of which the first says most."""
+        """How strongly its names suggest something, given words in order of weight."""
         return sum(len(words) - place for place, word in enumerate(words) if word in self.text)
 
 
 def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> str:
-    """The text of a setup.yaml for files of a laboratory; comments say what was concluded from what.
+    """The text of a setup.yaml for a laboratory's files; comments give the reason for each guess.
 
-    Outline and finger are left to be filled in. Nothing is certain: pictures and `slipmap check` tell whether
-    it was right.
+    Outline and finger are left to be filled in. Nothing is certain: pictures and `slipmap check` show whether
+    the guess is right.
 
     Raises:
         DatasetError: a file cannot be read, or nothing in the files looks like the pose of an object.
@@ -83,14 +83,14 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     if pose is None:
         listed = "; ".join(one.source.listed for one in found[:3])
         raise DatasetError(
-            f"{', '.join(files)}: nothing looks like the pose of an object, x and y with an angle or a"
-            f" quaternion. {listed or 'Are there columns with names?'}"
+            f"{', '.join(files)}: nothing looks like an object's pose, which is x and y with an angle or a"
+            f" quaternion. {listed or 'Do the columns have names?'}"
         )
     if finger is None:
         finger = _farthest([one for one in places if one is not pose])
     lines = [
         "# Written by `slipmap import --guess`: correct it, then run `slipmap import` with it.",
-        "# The corners of the footprint in the object's frame, m, or --object FILE of `slipmap object`:",
+        "# The corners of the footprint in the object frame, m; or use --object FILE from `slipmap object`:",
         "object: {outline: null}",
         "finger: {radius: null}  # m",
     ]
@@ -100,7 +100,7 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
 
 
 def _patterns(names: Sequence[str]) -> dict[str, list[str]]:
-    """Files that differ only in numbers, under a pattern with `*` for these."""
+    """Groups of files that differ only in numbers, by a pattern with `*` for these."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(re.sub(r"\d+", "*", name), []).append(name)
@@ -108,7 +108,7 @@ def _patterns(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _candidates(source: Source, file: str) -> Iterator[_Found]:
-    """All triples and pairs of columns of a table that differ in x, y and z."""
+    """All triples and pairs of columns of a table whose names differ in x, y and z."""
     names = list(source.columns)
     for name in names:
         end = name[len(_bare(name)) :]  # its unit
@@ -133,7 +133,7 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
 
 
 def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
-    """Quaternion, rotation vector or angle that goes with a position whose first column this is."""
+    """Quaternion, rotation vector or angle that belongs to a position, given its first column."""
     names = set(source.columns)
     bare = {_bare(name): name for name in source.columns}
     stem = re.sub(r"(position|translation|pos|trans)?[._]?[xX0]$", "", _bare(first))
@@ -148,7 +148,7 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
             if column in bare:
                 return "angle", (bare[column],)
     alone = [name for name in names if re.search(r"(^|[._])[qQ]w$|[qQ]uat\w*[._]w$", name)]
-    if len(alone) == 1:  # of the whole table, whatever it is called
+    if len(alone) == 1:  # the only one in the table, whatever its name
         columns = tuple(alone[0][:-1] + axis for axis in "xyzw")
         if set(columns) <= names:
             return "quaternion", columns
@@ -161,7 +161,7 @@ def _bare(name: str) -> str:
 
 
 def _unit(name: str, kind: str) -> str:
-    """The unit of a quantity of this kind that a column's name ends in; empty where there is none."""
+    """The unit of a quantity of this kind at the end of a column's name; empty if there is none."""
     found = _UNIT.search(name)
     return found[1] if found and found[1] in UNITS[kind] else ""
 
@@ -172,19 +172,19 @@ def _is_force(one: _Found) -> bool:
 
 
 def _best(found: Sequence[_Found], words: Sequence[str]) -> _Found | None:
-    """The one whose names speak most of what is sought; that with a turn of two equal ones."""
+    """The one whose names match the words best; of two equal ones, the one with a rotation."""
     return max(found, key=lambda one: (one.speaks_of(words), one.turn is not None), default=None)
 
 
 def _farthest(found: Sequence[_Found]) -> _Found | None:
-    """The one that goes the longest way: a finger goes back and forth."""
+    """The one with the longest path, since a finger moves back and forth."""
     return max(found, key=lambda one: float(np.nansum(np.abs(np.diff(one.values, axis=0)))), default=None)
 
 
 def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
-    """The lines of a channel."""
+    """The lines of a channel in a setup.yaml."""
     if one is None:
-        return [f"{name}: null  # nothing looks like it"]
+        return [f"{name}: null  # no columns look like it"]
     force = name == "ft_wrench"
     lines = [f"{name}:  # by its names{'' if force or one.turn else ', without an angle'}"]
     if several:
@@ -201,7 +201,7 @@ def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
     time = _time(one.source)
     if one.source.time is None:
         said = ", ".join(map(_quoted, time))
-        unknown = "null  # which column is it? Or say `rate: 100`, Hz"
+        unknown = "null  # which column is it? Or give `rate: 100`, Hz"
         lines.append(f"  time: {(said if len(time) == 1 else f'[{said}]') if time else unknown}")
     lines += [
         f"  push: {_quoted(column)}  # it is constant in runs of rows"
@@ -213,7 +213,7 @@ def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
 
 
 def _time(source: Source) -> tuple[str, ...]:
-    """The column of time, or those of seconds and nanoseconds; none where it is not seen, or known."""
+    """The column of time, or those of seconds and nanoseconds; none if not found, or if known anyway."""
     if source.time is not None:
         return ()
     for pair in seconds_and_nanoseconds(source):
@@ -224,7 +224,7 @@ def _time(source: Source) -> tuple[str, ...]:
 
 
 def _numbers_pushes(source: Source, column: str) -> bool:
-    """Whether a column is called as one that numbers pushes, and is: constant in runs."""
+    """Whether a column that numbers pushes by its name also does by its values: constant in runs."""
     if not _PUSH.match(column):
         return False
     cells = source.texts(column)
@@ -233,7 +233,8 @@ def _numbers_pushes(source: Source, column: str) -> bool:
 
 
 def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
-    """What the names of columns, else sizes tell: mm, degrees, milliseconds, and the axis that points up."""
+    """Lines for units (mm, degrees, milliseconds), from names or sizes of numbers, and for the axis that
+    points up."""
     force = name == "ft_wrench"
     known = one.values[np.isfinite(one.values).all(axis=1)]
     named = {"force" if force else "position": _unit(one.columns[0], "force" if force else "position")}

@@ -1,8 +1,8 @@
-"""What a setup.yaml says: beside object, finger, table and noise, as a dataset.yaml, where object pose,
-finger and force are in a laboratory's files, and how they are measured.
+"""Parse a setup.yaml. Besides object, finger, table and noise, as in a dataset.yaml, it states where object
+pose, finger and force are in a laboratory's files, and how they were measured.
 
-The three channels are called as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that hold for
-all of them may stand at the top.
+The three channels are named as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that apply to
+all of them may be given at the top level.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UPWARD = ("z", "y", "x", "-z", "-y", "-x")
 """Axes of a source that may point up."""
 
 CONTACT = "contact"
-"""For `clock` and, of the force, `frame`: what makes contact fit."""
+"""Value of `clock` and of the force's `frame`: fit to the contact."""
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "position": csv_files.LENGTHS,
@@ -34,7 +34,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": csv_files.TORQUES,
     "time": csv_files.TIMES,
 }
-"""What a unit may be of, and how much of the SI unit each is."""
+"""Quantities with units, and the factors from each unit to SI."""
 
 _SHARED = ("source", "time", "rate", "unit", "up", "frame", "push")
 _RATE = Number("Hz", 1e-3, 1e6)
@@ -42,28 +42,29 @@ _RATE = Number("Hz", 1e-3, 1e6)
 
 @dataclass(frozen=True)
 class ChannelSetup:
-    """Where a channel is in the files, and how it was measured."""
+    """Location of a channel in the files, and how it was measured."""
 
-    source: str = "*"  # pattern of the files' names
+    source: str = "*"  # pattern of the file names
     part: str = ""  # topic, rigid body or path inside the file
     time: tuple[str, ...] = ()  # column of time, or those of seconds and nanoseconds
-    rate: float | None = None  # rows a second, where the file has frame numbers or no time at all, Hz
+    rate: float | None = None  # rows per second if the file has frame numbers or no time at all, Hz
     push: str = ""  # column that numbers pushes
-    # The columns of each: a name each, or one name whose x, y, z they are; empty where the file's kind tells.
+    # Columns of each quantity: one name each, or one name whose x, y, z they are; empty if the kind of file
+    # determines them.
     position: tuple[str, ...] = ()
     angle: tuple[str, ...] = ()
     quaternion: tuple[str, ...] = ()  # x, y, z, w
     rotation_vector: tuple[str, ...] = ()
     force: tuple[str, ...] = ()
     torque: tuple[str, ...] = ()
-    unit: Mapping[str, float] = field(default_factory=dict)  # SI units in one of each quantity
-    up: str = ""  # which axis points up; as the kind of file has it, else z
-    frame: FloatArray | None = None  # (4, 4) pose of the source's frame in the table's; None is equal
-    turned_by_contact: bool = False  # whether the force is turned to fit the contact
+    unit: Mapping[str, float] = field(default_factory=dict)  # factor to SI for each quantity
+    up: str = ""  # axis that points up; by default that of the kind of file, else z
+    frame: FloatArray | None = None  # (4, 4) pose of the source's frame in the table's; None if equal
+    turned_by_contact: bool = False  # whether the force is rotated to fit the contact
     sign: float = 1.0  # of the angle, or of the force
-    offset: FloatArray | None = None  # where outline or finger sit in the tracked frame; the force's bias
-    clock: float | Literal["contact"] | None = None  # added to stamps, s; None is whatever is known
-    named: bool = True  # whether the setup speaks of it; else it is taken where its usual columns are
+    offset: FloatArray | None = None  # pose of outline or finger in the tracked frame; bias of the force
+    clock: float | Literal["contact"] | None = None  # added to stamps, s; None if not stated
+    named: bool = True  # whether the setup mentions it; otherwise it is used if its usual columns exist
     usual: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # columns under the key `csv`
 
 
@@ -77,7 +78,7 @@ class ImportSetup:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Topics that are wanted of bags; empty where some channel names none."""
+        """Topics wanted from bags; empty if any channel names none."""
         named = [channel.part for channel in self.channels.values() if channel.named]
         return tuple(named) if named and all(named) else ()
 
@@ -85,17 +86,17 @@ class ImportSetup:
 def parse_import_setup(
     document: dict[str, Any], where: str, default_name: str, described: dict[str, Any] | None = None
 ) -> ImportSetup:
-    """A setup.yaml out of its parsed mapping.
+    """Build an import setup from a parsed mapping.
 
     Args:
-        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and what channels share.
-        where: the file, for error texts.
-        default_name: of the dataset, where the document gives none.
-        described: keys `object` and `finger` where the document has none.
+        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and keys that channels share.
+        where: the file, for error messages.
+        default_name: of the dataset, if the document gives none.
+        described: keys `object` and `finger`, if the document has none.
 
     Raises:
-        DatasetError: a key that is missing, unknown or wrong. A slip of the pen in a transform would make all
-            numbers wrong, so that unknown keys are refused.
+        DatasetError: a key that is missing, unknown or wrong. Unknown keys are refused because a typing error
+            in a transform would make all numbers wrong.
     """
     known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv"}
     unknown = parsing.unknown_keys(document, known, where)
@@ -109,7 +110,7 @@ def parse_import_setup(
     channels = {}
     for name in CHANNELS:
         if name in document and document[name] is None:
-            continue  # it was not measured, whatever columns there are
+            continue  # null: not measured, whatever columns there are
         place = f"{where}: {name}"
         said = parsing.mapping(document.get(name, {}), place)
         found = _channel(name, shared | said, place)
@@ -119,19 +120,19 @@ def parse_import_setup(
         usual, unit = _usual(name, columns)
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
-        raise DatasetError(f"{where}: `object_pose` is null; without the object's pose nothing is learnt")
+        raise DatasetError(f"{where}: `object_pose` is null; nothing can be learnt without the object's pose")
     return ImportSetup(setup, channels, tuple(warnings))
 
 
 def _filled(said: object, described: object) -> object:
-    """What a setup says; where it says nothing, or null, what describes the object."""
+    """A setup's value with missing or null entries filled in from the object's description."""
     if isinstance(said, dict) and isinstance(described, dict):
         return described | {key: value for key, value in said.items() if value is not None}
     return described if said is None else said
 
 
 def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
-    """The columns of a channel by the key `csv`, and their units where they are not SI."""
+    """The columns of a channel from the key `csv`, and their units where not SI."""
     names = [columns.names[ours] for ours in CHANNELS[name]]
     kinds = ("force", "force", "torque") if name == "ft_wrench" else ("position", "position", "angle")
     usual: dict[str, tuple[str, ...]] = {"time": (columns.names["t"],)}
@@ -143,7 +144,7 @@ def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[st
 
 
 def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
-    """A channel as `entry` says."""
+    """A channel from its entry in the setup."""
     force = name == "ft_wrench"
     columns = ("force", "torque") if force else ("position", "angle", "quaternion", "rotation_vector")
     allowed = {*_SHARED, "part", "sign", "offset", "clock", *columns}
@@ -152,7 +153,7 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
         raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
     turns = [key for key in columns[1:] if key in entry]
     if not force and len(turns) > 1:
-        raise DatasetError(f"{where}: gives {' and '.join(turns)}; a turn is said once")
+        raise DatasetError(f"{where}: gives {' and '.join(turns)}; give the rotation only once")
     found: dict[str, Any] = {}
     for key, value in entry.items():
         place = f"{where}.{key}"
@@ -163,9 +164,9 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
         else:
             found |= _OTHERS[key](value, place, force)
     if name == "object_pose" and found.get("clock") == CONTACT:
-        raise DatasetError(f"{where}.clock: the others are brought to the object's clock; leave it out")
+        raise DatasetError(f"{where}.clock: the object's clock is the reference for the others; leave it out")
     if "turned_by_contact" in found and not force:
-        raise DatasetError(f"{where}.frame: only a force is turned to fit the contact; give its pose")
+        raise DatasetError(f"{where}.frame: only a force can be rotated to fit the contact; give a pose here")
     return ChannelSetup(**found)
 
 
@@ -173,11 +174,11 @@ _COUNTS = {
     "time": (1, 2), "position": (1, 2, 3), "angle": (1,), "quaternion": (1, 4), "rotation_vector": (1, 3),
     "force": (1, 2, 3), "torque": (1,),
 }  # fmt: skip
-"""How many columns each may be given by."""
+"""Allowed numbers of columns for each quantity."""
 
 
 def _name(value: object, where: str) -> str:
-    """The name of a file, of a part or of a column, which may be a number."""
+    """The name of a file, part or column; a column may be a number."""
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return str(value)
     return parsing.text(value, where)
@@ -187,7 +188,7 @@ def _names(value: object, counts: Sequence[int], where: str) -> tuple[str, ...]:
     listed = value if isinstance(value, list) else [value]
     if len(listed) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise DatasetError(f"{where}: {wanted} columns are wanted, got {parsing.shown(value)}")
+        raise DatasetError(f"{where}: needs {wanted} columns, got {parsing.shown(value)}")
     return tuple(_name(one, where) for one in listed)
 
 
@@ -196,7 +197,7 @@ def _rate(value: object, where: str, force: bool) -> dict[str, Any]:
 
 
 def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
-    """A unit alone is that of the position or of the force."""
+    """Units by quantity; a single unit is that of the position or of the force."""
     if isinstance(value, str):
         kinds = ("force",) if force and value in UNITS["force"] else ("position",)
         said = {kind: value for kind in kinds}
@@ -205,7 +206,7 @@ def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
     result = {}
     for kind, unit in said.items():
         if kind not in UNITS:
-            raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; there are {', '.join(UNITS)}")
+            raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; choose from {', '.join(UNITS)}")
         if not isinstance(unit, str) or unit not in UNITS[kind]:
             place = where if isinstance(value, str) else f"{where}.{kind}"
             raise DatasetError(f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}")
@@ -220,13 +221,13 @@ def _up(value: object, where: str, force: bool) -> dict[str, Any]:
 
 
 def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
-    """x, y and an angle; x, y, z and a quaternion; or a matrix of four rows."""
+    """A frame from x, y and an angle; from x, y, z and a quaternion; or from a matrix of four rows."""
     if value == CONTACT:
         return {"turned_by_contact": True}
     if not isinstance(value, list):
         raise DatasetError(
-            f"{where}: the pose of the source's frame in the table's is [x, y, theta], m and rad (or 45 deg),"
-            f" [x, y, z, qx, qy, qz, qw] or a matrix of four rows, got {parsing.shown(value)}"
+            f"{where}: give the pose of the source's frame in the table's as [x, y, theta], m and rad (or"
+            f" 45 deg), [x, y, z, qx, qy, qz, qw] or a matrix of four rows, got {parsing.shown(value)}"
         )
     pose = np.eye(4)
     if len(value) == 4:
@@ -240,26 +241,28 @@ def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
 
         numbers = np.array([parsing.number(one, where) for one in value])
         if abs(np.linalg.norm(numbers[3:]) - 1.0) > 0.01:
-            raise DatasetError(f"{where}: qx, qy, qz, qw must have the length 1")
+            raise DatasetError(f"{where}: qx, qy, qz, qw must have length 1")
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3]
     else:
-        raise DatasetError(f"{where}: 3, 7 or 4 by 4 numbers are wanted, got {parsing.shown(value)}")
+        raise DatasetError(f"{where}: needs 3, 7 or 4 by 4 numbers, got {parsing.shown(value)}")
     turn = pose[:3, :3]
     if not (np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
             and np.linalg.det(turn) > 0.0 and np.allclose(pose[3], [0, 0, 0, 1])):  # fmt: skip
-        raise DatasetError(f"{where}: is no pose; a turn has orthogonal rows of length 1, right-handed")
+        raise DatasetError(
+            f"{where}: is not a pose; its rotation needs orthogonal rows of length 1, right-handed"
+        )
     return {"frame": pose}
 
 
 def _angle(value: object, where: str) -> float:
-    """rad, or a text such as `45 deg`."""
+    """An angle in rad from a number or a text such as `45 deg`."""
     match = re.fullmatch(r"\s*([-+\d.]+)\s*(deg|rad)\s*", value) if isinstance(value, str) else None
     if match is None:
         return parsing.number(value, where)
     try:
         return float(match[1]) * csv_files.ANGLES[match[2]]
     except ValueError:
-        raise DatasetError(f"{where}: {parsing.shown(value)} is no angle") from None
+        raise DatasetError(f"{where}: {parsing.shown(value)} is not an angle") from None
 
 
 def _sign(value: object, where: str, force: bool) -> dict[str, Any]:
@@ -279,7 +282,7 @@ def _offset(value: object, where: str, force: bool) -> dict[str, Any]:
 def _clock(value: object, where: str, force: bool) -> dict[str, Any]:
     if value == CONTACT:
         return {"clock": CONTACT}
-    return {"clock": parsing.number(value, f"{where} (s that are added to the stamps, or contact)")}
+    return {"clock": parsing.number(value, f"{where} (s to add to the stamps, or contact)")}
 
 
 _OTHERS: Mapping[str, Callable[[object, str, bool], dict[str, Any]]] = {

@@ -1,5 +1,5 @@
-"""From a table of a file to a channel: poses of the object, positions of the finger or forces on the object,
-in the table's frame, SI units, rows in order of time."""
+"""From a table of a file to a channel: object poses, finger positions or forces on the object, in the table's
+frame and SI units, in order of time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SUFFIXES: dict[str, tuple[tuple[str, ...], ...]] = {
     "quaternion": ((".x", ".y", ".z", ".w"), ("_x", "_y", "_z", "_w"), ("_0", "_1", "_2", "_3"),
                    (".0", ".1", ".2", ".3")),
 }  # fmt: skip
-"""What follows one name that stands for several columns."""
+"""Suffixes after a name that stands for several columns."""
 
 _OWN: dict[str, tuple[tuple[str, ...], ...]] = {
     "position": (("x", "y", "z"), ("x", "y")),
@@ -36,7 +36,7 @@ _OWN: dict[str, tuple[tuple[str, ...], ...]] = {
     "force": (("fx", "fy", "fz"), ("fx", "fy")),
     "torque": (),
 }
-"""Names of columns that say themselves what they are."""
+"""Column names that identify a quantity by themselves."""
 
 _MESSAGES: dict[str, tuple[str, ...]] = {
     "position": ("position", "translation", "point"),
@@ -47,10 +47,10 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
 
 TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
 
-_LEVEL = np.radians(15.0)  # beyond which a turn about the vertical says little
+_LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is unreliable
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
-_LIFTED = 0.01  # m above where the finger pushes
+_LIFTED = 0.01  # m above the finger's pushing height
 
 _TO_TABLE = {
     "z": np.eye(3),
@@ -60,7 +60,7 @@ _TO_TABLE = {
     "x": np.array([[0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]]),
     "-x": np.array([[0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0]]),
 }
-"""Turns by which the axis that points up becomes z: of y, (X, Y, Z) becomes (X, -Z, Y)."""
+"""Rotations that turn the upward axis into z: for y, (X, Y, Z) becomes (X, -Z, Y)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +68,13 @@ class Mapped:
     """A channel of a recording."""
 
     table: FloatArray  # (T, 4) t, x, y, theta or t, fx, fy, tau
-    done: list[str] = field(default_factory=list)  # what was done, for the provenance
+    done: list[str] = field(default_factory=list)  # processing steps, for the provenance
     doubts: list[str] = field(default_factory=list)
-    lifted: FloatArray = field(default_factory=lambda: np.zeros(0))  # times of a finger that is up in the air
+    lifted: FloatArray = field(default_factory=lambda: np.zeros(0))  # times at which the finger is lifted
 
 
 def is_there(source: Source, name: str, channel: ChannelSetup) -> bool:
-    """Whether a table has the columns of a channel of which the setup does not speak."""
+    """Whether a table has the columns of a channel that the setup does not mention."""
     return _columns(source, "force" if name == "ft_wrench" else "position", channel, usual_only=True) != ()
 
 
@@ -82,7 +82,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     """The rows of a channel.
 
     Raises:
-        DatasetError: columns that are missing or hold no numbers, no clock, or no row at all.
+        DatasetError: missing or non-numeric columns, no clock, or no rows.
     """
     time, concluded = times(source, channel)
     done = [concluded] if concluded else []
@@ -93,7 +93,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
         values = _force(source, channel, up)
         if channel.sign < 0:
             values = -values
-            done.append("sign turned")
+            done.append("sign reversed")
     else:
         values, height, more = _pose(source, name, channel, up)
         doubts += more
@@ -102,20 +102,20 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     if name == "tip_pose" and np.isfinite(height).any():
         lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
         if len(lifted):
-            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger touches nothing")
+            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger counts as not touching")
     table, order = _in_order(table, name)
     doubts += [f"{source.where}: {text}" for text in order]
     if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
-        raise DatasetError(f"{source.where}: no row of {name} holds numbers in all its columns")
+        raise DatasetError(f"{source.where}: no row of {name} has numbers in all its columns")
     done += _said(channel, up, source)
     return Mapped(table, done, doubts, lifted)
 
 
 def _said(channel: ChannelSetup, up: str, source: Source) -> Iterator[str]:
     if up != "z":
-        yield f"{up} is up" + ("" if channel.up else ", as such files have it unless `up` says else")
+        yield f"{up} is up" + ("" if channel.up else ", as usual in such files unless `up` says otherwise")
     if not channel.unit.get("position") and source.length != "m":
-        yield f"lengths are in {source.length}, as the file says"
+        yield f"lengths are in {source.length}, as stated in the file"
     if channel.frame is not None:
         yield "moved into the table's frame"
     if channel.offset is not None:
@@ -126,7 +126,7 @@ def _said(channel: ChannelSetup, up: str, source: Source) -> Iterator[str]:
 
 
 def _columns(source: Source, kind: str, channel: ChannelSetup, usual_only: bool = False) -> tuple[str, ...]:
-    """The columns of a quantity; () where there are none."""
+    """The columns of a quantity; () if there are none."""
     said = getattr(channel, kind)
     if said:
         return _expanded(source, kind, said)
@@ -148,7 +148,7 @@ def _columns(source: Source, kind: str, channel: ChannelSetup, usual_only: bool 
 
 
 def _expanded(source: Source, kind: str, said: Sequence[str]) -> tuple[str, ...]:
-    """Columns by their names; one name of several columns stands for those that begin with it."""
+    """Columns by name; one name given for several columns stands for those that begin with it."""
     if kind in _SUFFIXES and len(said) == 1:
         (stem,) = said
         for suffix in _SUFFIXES[kind]:
@@ -167,12 +167,12 @@ def _expanded(source: Source, kind: str, said: Sequence[str]) -> tuple[str, ...]
 def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tuple[str, ...]:
     columns = _columns(source, kind, channel)
     if not columns:
-        raise DatasetError(f"{source.where}: which columns are the {kind} of {name}? {source.listed}")
+        raise DatasetError(f"{source.where}: which columns hold the {kind} of {name}? {source.listed}")
     return columns
 
 
 def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
-    """(T,) stamps of the rows, s, and what was concluded about them. Raises DatasetError without a clock."""
+    """(T,) stamps of the rows, s, and a remark on how they were read. Raises DatasetError without a clock."""
     unit = channel.unit.get("time")
     if channel.rate is not None:
         frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))
@@ -188,13 +188,13 @@ def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
     if len(pairs) == 1:
         return seconds(source, pairs[0], None)
     raise DatasetError(
-        f"{source.where}: which column is the time? Say `time`, or `rate` in Hz where rows are evenly apart;"
+        f"{source.where}: which column is the time? Give `time`, or `rate` in Hz if rows are evenly spaced;"
         f" {source.listed}"
     )
 
 
 def seconds_and_nanoseconds(source: Source) -> list[tuple[str, str]]:
-    """Pairs of columns that are the parts of a stamp of ROS."""
+    """Pairs of columns that form a ROS stamp."""
     found = []
     for name in source.columns:
         stem = re.fullmatch(r"(.*?)secs?", name)
@@ -210,7 +210,7 @@ def seconds_and_nanoseconds(source: Source) -> list[tuple[str, str]]:
 def _pose(
     source: Source, name: str, channel: ChannelSetup, up: str
 ) -> tuple[FloatArray, FloatArray, list[str]]:
-    """(T, 3) x, y, theta on the table, (T,) height above it, NaN where unknown, and what looks wrong."""
+    """(T, 3) x, y, theta on the table, (T,) height above it, NaN where unknown, and warnings."""
     columns = _needed(source, "position", channel, name)
     scale = channel.unit.get("position", LENGTHS[source.length])
     position = scale * np.column_stack([source.numbers(column) for column in columns])
@@ -238,11 +238,11 @@ def _pose(
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
             doubts.append(
-                f"{source.where}: the object's frame tilts by {np.degrees(np.median(tilt)):.0f}° against the"
-                " table; is `up` right, and does the tracked frame lie flat?"
+                f"{source.where}: the object's frame is tilted by {np.degrees(np.median(tilt)):.0f}° relative"
+                " to the table; is `up` right, and does the tracked frame lie flat?"
             )
     else:
-        # An angle about an axis that points down turns the other way on the table.
+        # An angle about a downward axis has the opposite sign on the table.
         theta = heading + channel.sign * (-turn if up.startswith("-") else turn)
         matrices = None
     values = np.column_stack([place[:, :2], theta])
@@ -253,7 +253,7 @@ def _pose(
 def _turns(
     source: Source, channel: ChannelSetup, name: str
 ) -> FloatArray | tuple[FloatArray, NDArray[np.bool_]]:
-    """(T,) angles, or (T, 3, 3) turns with (T,) whether they are known."""
+    """(T,) angles, or (T, 3, 3) rotations with (T,) whether they are known."""
     from scipy.spatial.transform import Rotation
 
     kinds = ("quaternion", "rotation_vector", "angle")
@@ -291,14 +291,14 @@ def _offset_taken_off(
     matrices: FloatArray | None,
     up: str,
 ) -> FloatArray:
-    """Poses of the outline's frame, or positions of the finger's centre, instead of what was tracked."""
+    """Poses of the outline's frame, or positions of the finger's centre, from the tracked ones."""
     if channel.offset is None:
         return values
     offset = channel.offset
     if name == "object_pose":
         return compose(values, np.append(offset, np.zeros(3 - len(offset))))
     if len(offset) == 3 and matrices is not None:
-        # In the tool's own axes.
+        # In the tool's axes.
         shift = (matrices @ _TO_TABLE[up] @ offset)[:, :2]
     else:
         shift = offset[:2]
@@ -306,7 +306,7 @@ def _offset_taken_off(
 
 
 def _wrong_axis(position: FloatArray, up: str, source: Source, name: str) -> list[str]:
-    """Whether another axis than the one that is to point up is that of constant height."""
+    """Warning if the axis of constant height is not the one stated to point up."""
     known = position[np.isfinite(position).all(axis=1)]
     if name != "object_pose" or len(known) < 10:
         return []
@@ -322,7 +322,7 @@ def _wrong_axis(position: FloatArray, up: str, source: Source, name: str) -> lis
 
 
 def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
-    """(T, 3) force on the table and torque; NaN where that was not measured."""
+    """(T, 3) force in the table's plane and torque; NaN where the torque was not measured."""
     columns = _needed(source, "force", channel, "ft_wrench")
     force = channel.unit.get("force", 1.0) * np.column_stack([source.numbers(name) for name in columns])
     whole = _TO_TABLE[up]
@@ -344,7 +344,7 @@ def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
 
 
 def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
-    """Rows with a time in its order, without those of one that stands twice, and what was amiss."""
+    """Rows with a time, sorted and without repeated stamps, and warnings about these."""
     rows = table[np.isfinite(table[:, 0]) & np.isfinite(table[:, 1:3]).all(axis=1)]
     found = []
     step = np.diff(rows[:, 0])

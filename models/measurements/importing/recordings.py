@@ -1,5 +1,5 @@
-"""From files of a laboratory to a push dataset: which files belong together, one recording each, and the
-pushes in them."""
+"""From a laboratory's files to a push dataset: group the files that belong together into recordings, and find
+the pushes in them."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
 _LOG = logging.getLogger("slipmap.measurements")
-_EPOCH = 1e6  # s above which a clock counts from 1970, or another day long ago
-_NOWHERE = 100.0  # m from the object: where a finger is that is not there
+_EPOCH = 1e6  # s above which a clock counts from 1970 or another distant day
+_NOWHERE = 100.0  # m from the object, where an absent finger is placed
 _LONGEST = 1e5  # s of a recording
-_FEWEST_ROWS = 10  # of a push after which stamps may start anew,
-_NEAR_START = 0.1  # of how long it lasted from where they began
+_FEWEST_ROWS = 10  # rows of a push after which stamps may start again,
+_NEAR_START = 0.1  # within this share of its duration from where they began
 
 Tables = dict[str, Mapped]
 
@@ -59,23 +59,23 @@ def import_dataset(
     progress: StageProgress | None = None,
     tell: Callable[[str], object] = _LOG.warning,
 ) -> PushDataset:
-    """A push dataset out of a laboratory's own files: motion-capture exports, robot logs, bags, tables.
+    """Import a push dataset from a laboratory's own files: motion-capture exports, robot logs, bags, tables.
 
-    Files that belong together are one recording: all that differ in the same text under the `*` of their
-    patterns. A recording is brought to one clock, cut into its pushes where the object rests and the finger
-    leaves, or is carried, and judged as `read_dataset` judges. What was done stands in the dataset's
-    `provenance`. The last quarter of the pushes is held out.
+    Files that belong together form one recording: those whose patterns match the same text at the `*`. A
+    recording is brought to one clock, cut into pushes where the object rests and the finger leaves it, or
+    where the object is carried, and checked as in `read_dataset`. The processing steps are listed in the
+    dataset's `provenance`. The last quarter of the pushes is held out.
 
     Args:
         sources: files and folders.
         setup: a setup.yaml: object and finger as in a dataset.yaml, and where pose, finger and force are; see
             docs/import.md.
-        object_name: what was pushed, where the setup does not say it, as of `read_dataset`.
-        progress: called after each recording with the number done and the number of all.
+        object_name: what was pushed, if the setup does not state it, as in `read_dataset`.
+        progress: called after each recording with the number done and the total.
         tell: called with each warning.
 
     Raises:
-        DatasetError: the setup is wrong, or files cannot be used: all that are wrong are named in one text.
+        DatasetError: the setup is wrong, or files cannot be used; one message names all of them.
 
     Example:
         >>> import pathlib, tempfile
@@ -151,7 +151,7 @@ def import_dataset(
 
 
 def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dict[str, dict[str, str]]:
-    """The file of each channel, for each recording, which is called after the file of the poses."""
+    """The file of each channel, for each recording; recordings are named after the file of the poses."""
     keyed = {
         name: {key: file for file in files if (key := _key(channel.source, file)) is not None}
         for name, channel in said.channels.items()
@@ -159,7 +159,7 @@ def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dic
     for name, found in keyed.items():
         if not found and said.channels[name].named:
             raise DatasetError(
-                f"{where}: {name}.source: no file is called {parsing.shown(said.channels[name].source)};"
+                f"{where}: {name}.source: no file matches {parsing.shown(said.channels[name].source)};"
                 f" there are {parsing.listed(list(files))}"
             )
     groups: dict[str, dict[str, str]] = {}
@@ -168,19 +168,19 @@ def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dic
         for name, found in keyed.items():
             if key in found:
                 group[name] = found[key]
-            elif len(found) == 1:  # one file for all recordings, such as a robot's log of the day
+            elif len(found) == 1:  # one file for all recordings, such as a robot's daily log
                 group[name] = next(iter(found.values()))
             elif said.channels[name].named:
                 raise DatasetError(
-                    f"{where}: {name}.source: no file goes with {file}; under the * of both patterns the"
-                    " same text has to stand"
+                    f"{where}: {name}.source: no file goes with {file}; the * of both patterns must match the"
+                    " same text"
                 )
         groups[file] = group
     return groups
 
 
 def _key(pattern: str, name: str) -> str | None:
-    """What stands under the `*` of a pattern in a file's name; None where it does not fit."""
+    """The text matched by the `*` of a pattern in a file's name; None if it does not match."""
     expression = ".*".join(re.escape(part) for part in pattern.split("*"))
     match = re.fullmatch(expression.replace(".*", "(.*)"), name)
     if match is None and "/" not in pattern:
@@ -213,7 +213,7 @@ class _Files:
         return self._read[name]
 
     def table(self, file: str, channel: ChannelSetup) -> Source:
-        """The table of a channel. Raises DatasetError where it is not clear which one is meant."""
+        """The table of a channel. Raises DatasetError if the choice is ambiguous."""
         tables = self.tables(file)
         if channel.part:
             wanted = channel.part.strip("/").lower()
@@ -240,7 +240,7 @@ class _Recording:
     trials: list[Trial] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)  # what looks wrong
     steps: list[str] = field(default_factory=list)  # what was done
-    force_lags: list[Lag | None] = field(default_factory=list)  # of each part whose force was to be aligned
+    force_lags: list[Lag | None] = field(default_factory=list)  # of each part with a force to be aligned
 
 
 def _recording(
@@ -249,7 +249,7 @@ def _recording(
     """The pushes of a recording.
 
     Args:
-        usual: what the session's recordings lack in the stamps of the force, where that is known.
+        usual: lag of the force's stamps on which the session's recordings agree, if known.
     """
     sources: dict[str, Source] = {}
     for channel, file in group.items():
@@ -264,7 +264,7 @@ def _recording(
     whole = _Recording()
     pushes = dict(_pushes_told_apart(name, sources, said))
     if len(pushes) > 1:
-        whole.steps.append("cut into pushes as they are numbered, or where stamps start anew")
+        whole.steps.append("cut into pushes by their numbers, or where the stamps start again")
     for label, parts in pushes.items():
         found = _one_clock(label, parts, said, usual)
         whole.trials.extend(found.trials)
@@ -277,7 +277,7 @@ def _recording(
 def _pushes_told_apart(
     name: str, sources: Mapping[str, Source], said: ImportSetup
 ) -> Iterator[tuple[str, dict[str, Source]]]:
-    """The rows of each push by the column that numbers them, in the order in which pushes come."""
+    """The rows of each push by the column that numbers them, in order of appearance."""
     columns = {}
     for channel, source in sources.items():
         column = said.channels[channel].push or source.push or "push_id"
@@ -312,7 +312,7 @@ def _pushes_told_apart(
 def _cut_where_stamps_start_anew(
     name: str, sources: Mapping[str, Source], said: ImportSetup
 ) -> Iterator[tuple[str, dict[str, Source]]]:
-    """The recording in pieces in which stamps go on; as it is where they never go back to the start."""
+    """The recording cut where stamps go back to the start; unchanged if they never do."""
     pieces = {
         channel: np.split(np.arange(len(source)), _new_starts(times(source, said.channels[channel])[0]))
         for channel, source in sources.items()
@@ -323,7 +323,7 @@ def _cut_where_stamps_start_anew(
             raise DatasetError(
                 f"{sources['object_pose'].where}: stamps of object_pose go back to the start {count - 1}"
                 f" times, those of {channel} in {sources[channel].where} {len(rows) - 1} times; name the"
-                " column that numbers the pushes with `push`, or give each push files of its own"
+                " column that numbers the pushes with `push`, or give each push its own files"
             )
     if count == 1:
         yield name, dict(sources)
@@ -336,7 +336,7 @@ def _cut_where_stamps_start_anew(
 
 
 def _new_starts(time: FloatArray) -> NDArray[np.int_]:
-    """Rows at which stamps go back to, or near, where they began."""
+    """Rows at which stamps go back to, or close to, their start."""
     known = np.flatnonzero(np.isfinite(time))
     if len(known) < _FEWEST_ROWS:
         return np.zeros(0, dtype=int)
@@ -354,7 +354,7 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
 
 
 def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
-    """Pushes of a recording whose channels are brought to the clock of the object's poses."""
+    """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
     found = {channel: mapped(source, channel, said.channels[channel]) for channel, source in sources.items()}
     steps = [f"{channel}: {text}" for channel, one in found.items() for text in one.done]
@@ -369,7 +369,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
             steps.append(f"{channel}: {clock:g} s added to the stamps")
         rows[:, 0] -= zero
     if zero:
-        steps.append(f"times count from {zero:.0f} s after 1970")
+        steps.append(f"times count from {zero:.0f} s since 1970")
     if "tip_pose" not in tables:
         pose = tables["object_pose"]
         tables["tip_pose"] = np.array([[pose[0, 0], pose[0, 1] + _NOWHERE, pose[0, 2], 0.0]])
@@ -394,7 +394,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
                 lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
                 beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
                 if fingers is not None and beside and (lag is None or not lag.by_touch):
-                    lag = fingers._replace(text="as the finger's, of the same file")
+                    lag = fingers._replace(text="as for the finger in the same file")
                 force_lags.append(lag)
                 if usual is not None and _stands_alone(lag, usual):
                     doubts.append(_outvoted(name, lag, usual))
@@ -404,7 +404,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
             if lag is not None and not lag.by_touch:
                 doubts.append(
                     f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
-                    " picture, or say ft_wrench.clock, the s to add to its stamps"
+                    " picture, or give ft_wrench.clock, the seconds to add to its stamps"
                 )
     if trial.ft_wrench is not None and trial.has_finger:
         trial, more = _force_at_rest(trial, said)
@@ -426,7 +426,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
 
 
 def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
-    """The trial with a finger that is far away while it is up in the air, where it may cross the object."""
+    """The trial with the finger placed far away while it is lifted, when it may pass over the object."""
     clock = said.channels["tip_pose"].clock
     shift = (clock if isinstance(clock, float) else 0.0) - zero
     tip = trial.tip_pose
@@ -435,7 +435,7 @@ def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero:
 
 
 def _lowered(trial: Trial) -> Trial:
-    """The trial without rows of a finger that is up in the air; with them where there are no others."""
+    """The trial without the rows of a lifted finger, unless there are no others."""
     tip = trial.tip_pose
     away = tip.values - trial.object_pose.at(tip.time)[:, :2]
     down = np.hypot(*away.T) < 0.5 * _NOWHERE
@@ -443,28 +443,29 @@ def _lowered(trial: Trial) -> Trial:
 
 
 def _stands_alone(lag: Lag | None, usual: Lag) -> bool:
-    """Whether contact does not show a recording's lag, and the session's is another."""
+    """Whether contact does not show a recording's lag, while that of the session differs."""
     return lag is None or (not lag.by_touch and lag.contradicts(usual))
 
 
 def _outvoted(name: str, lag: Lag | None, usual: Lag) -> str:
     alone = "does not show its clock" if lag is None else f"would move it by {lag.value:.4f} s ({lag.text})"
-    return f"{name}: ft_wrench alone {alone}; the session as a whole has {usual.value:.4f} s, which counts"
+    return f"{name}: ft_wrench alone {alone}; the {usual.value:.4f} s of the session as a whole was used"
 
 
 def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
-    """The trial with a channel's stamps on the clock of the object's poses, and how they came there."""
+    """The trial with a channel's stamps on the clock of the object's poses, and a remark on how."""
     moved = trial.channels[channel]
     if lag is None:
         text = (
-            f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are"
-            f" frames, outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
+            f"{trial.name}: contact does not show how the clock of {channel} differs from that of"
+            f" object_pose; check frames, outline and finger.radius, or give {channel}.clock, the seconds to"
+            " add to its stamps"
         )
         if not _overlap(trial.object_pose, moved):
             raise DatasetError(text)
         return trial, f"{text}. The stamps were left as they are"
     if channel == "ft_wrench" and not lag.sure:
-        return trial, f"{channel}: stamps left as they are, on the clock of the poses within the error"
+        return trial, f"{channel}: stamps left as they are, since they agree with the poses within the error"
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
@@ -475,31 +476,31 @@ def _overlap(pose: Channel, other: Channel) -> bool:
 
 
 def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
-    """The trial without what its force sensor reads where nothing touches."""
+    """The trial with the bias of its force sensor removed, and remarks on it."""
     force = trial.ft_wrench
     assert force is not None
     if said.channels["ft_wrench"].offset is not None:
         return trial, []
     free = free_force(said.setup, trial.object_pose, trial.tip_pose, force)
     if free is None:
-        return trial, ["ft_wrench: no rows before touch, so that its bias is not known and nothing taken off"]
+        return trial, ["ft_wrench: no rows before touch, so its bias is unknown and nothing was taken off"]
     bias, error, count = free
     size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
     if not bias_matters(bias, error, force):
-        return trial, [f"ft_wrench: reads {size}, which is no bias; left as it is"]
+        return trial, [f"ft_wrench: reads {size}, which is no significant bias; left as it is"]
     values = force.values - np.append(bias, 0.0)
     return replace(trial, ft_wrench=Channel(force.time, values)), [f"ft_wrench: bias {size} taken off"]
 
 
 def _turned(trial: Trial, said: ImportSetup) -> tuple[Trial, str]:
-    """The trial with its force turned so that it points along the contact's normal on the whole."""
+    """The trial with its force rotated so that on the whole it points along the contact normal."""
     rows = contact_rows(said.setup, trial)
     normal, force, _ = normals_and_forces(said.setup, [rows] if rows is not None else [])
     if len(force) < 10:
-        raise DatasetError(f"{trial.name}: too few rows with a force at a contact to turn ft_wrench by")
+        raise DatasetError(f"{trial.name}: too few rows with force in contact to rotate ft_wrench by")
     angle = -middle_angle(angle_between(force, normal))
     assert trial.ft_wrench is not None
     values = trial.ft_wrench.values.copy()
     values[:, :2] = rotated(values[:, :2], angle)
-    text = f"ft_wrench: turned by {np.degrees(angle_between(angle, 0.0)):.1f}° to fit the contact"
+    text = f"ft_wrench: rotated by {np.degrees(angle_between(angle, 0.0)):.1f}° to fit the contact"
     return replace(trial, ft_wrench=Channel(trial.ft_wrench.time, values)), text

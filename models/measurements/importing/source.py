@@ -1,7 +1,7 @@
-"""What a laboratory's file holds: tables of named columns, each with the clock of its rows.
+"""Content of a laboratory's file: tables of named columns, each with the clock of its rows.
 
-Readers of all kinds of files make `Source`s of them and know nothing of pushes; `import_setup` says which
-columns are what, `mapping` makes poses and forces of these, and `recordings` pushes.
+The readers for all kinds of files produce `Source`s and know nothing about pushes; `import_setup` states what
+the columns are, `mapping` turns them into poses and forces, and `recordings` into pushes.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from slipmap.models.measurements.push_dataset import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 LARGEST_FILE = 2**30
-"""Bytes of a file that is read; an hour of 20 channels at 1 kHz is about as much."""
+"""Most bytes of a file; about an hour of 20 channels at 1 kHz."""
 
 MOST_NUMBERS = 2**27
-"""Numbers of a table: 1 GiB."""
+"""Most numbers of a table: 1 GiB."""
 
 MOST_CELLS = 2**24
-"""Cells of a text table, which take sixty bytes each."""
+"""Most cells of a text table, which take sixty bytes each."""
 
 Column = FloatArray | Sequence[str]
-"""(T,) numbers, NaN where there is none; or texts as they stand in the file."""
+"""(T,) numbers, NaN where missing; or texts as in the file."""
 
 NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
-"""Words that stand for no number, in small letters."""
+"""Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
 
@@ -39,26 +39,26 @@ _MOST_NAMED = 12
 class Source:
     """A table of a file."""
 
-    file: str  # as error texts name it
-    part: str  # the topic, rigid body or path inside the file; empty where it is one table
-    columns: Mapping[str, Column]  # by name, all of one length
-    time: FloatArray | None = None  # (T,) s, where the kind of file says which column it is
-    length: str = "m"  # unit of lengths, as the file or its kind says
-    up: str = "z"  # the axis that points up, by the kind of file
-    decimal: str = "."  # of numbers in texts
-    first_row: int = 0  # what the first row counts as in error texts
-    push: str = ""  # the column that numbers pushes, where the kind of file has one
+    file: str  # name in error messages
+    part: str  # topic, rigid body or path inside the file; empty if the file is one table
+    columns: Mapping[str, Column]  # by name, all of equal length
+    time: FloatArray | None = None  # (T,) s, if the kind of file determines the column
+    length: str = "m"  # unit of lengths, by the file or its kind
+    up: str = "z"  # axis that points up, by the kind of file
+    decimal: str = "."  # decimal sign of numbers in texts
+    first_row: int = 0  # number of the first row in error messages
+    push: str = ""  # column that numbers pushes, if the kind of file has one
 
     @property
     def where(self) -> str:
-        """File and part, for error texts."""
+        """File and part, for error messages."""
         return f"{self.file}, {self.part}" if self.part else self.file
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
 
     def name_of(self, column: str) -> str:
-        """A column's name as it stands in the file, of that name or of its number, from 0.
+        """A column's name in the file, given this name or its number, from 0.
 
         Raises:
             DatasetError: there is none.
@@ -71,13 +71,13 @@ class Source:
 
     @property
     def listed(self) -> str:
-        """Which columns there are, for error texts."""
+        """The existing columns, for error messages."""
         names = [parsing.shown(name) if name.strip() != name or not name else name for name in self.columns]
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         return f"there are {', '.join(names[:_MOST_NAMED])}{more}"
 
     def texts(self, column: str) -> list[str]:
-        """(T) cells of a column as texts."""
+        """(T,) cells of a column as texts."""
         cells = self.columns[self.name_of(column)]
         if isinstance(cells, np.ndarray):
             return [np.format_float_positional(cell, trim="-") for cell in cells.tolist()]
@@ -87,7 +87,7 @@ class Source:
         """(T,) a column as numbers; NaN for empty cells and words such as N/A.
 
         Raises:
-            DatasetError: no such column, or a cell that is no number.
+            DatasetError: no such column, or a cell that is not a number.
         """
         name = self.name_of(column)
         cells = self.columns[name]
@@ -118,22 +118,22 @@ class Source:
 
 
 Reader = Callable[[Path, str], list[Source]]
-"""Reads a file that error texts call so."""
+"""Reader of a file, given its path and its name in error messages."""
 
 
 def missing_library(where: str, library: str, extra: str = "import") -> DatasetError:
-    """That a library which is not always installed has to be."""
+    """Error about an optional library that is not installed."""
     return DatasetError(
-        f"{where}: reading such files takes the library {library}; install it with `pip install"
+        f"{where}: reading such files needs the library {library}; install it with `pip install"
         f" 'slipmap[{extra}]'`"
     )
 
 
 def tables_of_arrays(file: str, found: Mapping[str, FloatArray], separator: str = "/") -> list[Source]:
-    """Tables of arrays that lie at paths: those of one folder and length are the columns of a table; so are
-    the columns of an array, as `name.0`, `name.1`.
+    """Tables from arrays at paths: arrays of one folder and length are the columns of a table, as are the
+    columns of an array, as `name.0`, `name.1`.
 
-    Every array with several columns is also a table of its own, with columns named by their numbers.
+    Every array with several columns is also a separate table, with columns named by their numbers.
     """
     folders: dict[tuple[str, int], dict[str, Column]] = {}
     own: list[Source] = []

@@ -1,7 +1,7 @@
-"""Tables in text: CSV of any dialect, logs with blanks between cells, `rostopic echo -p`, and exports of
-motion-capture programs.
+"""Read tables from text: CSV of any dialect, logs with blanks between cells, `rostopic echo -p`, and exports
+of motion-capture programs.
 
-Cells stay texts until a column is asked for, so that words in other columns do no harm.
+Cells stay texts until a column is requested, so that words in other columns do no harm.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log")
 
 _CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)$")
 _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
-"""Stamps since 1970 above the first number count so many a second: none between 1973 and 5138 is both."""
+"""Stamps since 1970 above the first number count this many per second; unambiguous from 1973 to 5138."""
 
 _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
-"""First line of some exports, which says what parts the cells; the others show it."""
+"""First line of some exports, which states the separator of the cells."""
 
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+")
 _LINES_SNIFFED = 30
@@ -38,7 +38,7 @@ def read_text(path: Path, where: str) -> list[Source]:
     """The tables of a text file.
 
     Raises:
-        DatasetError: no text, no rows, or rows of other lengths than the header.
+        DatasetError: not text, no rows, or rows whose length differs from the header's.
     """
     content = parsing.read_bytes(path, LARGEST_FILE)
     encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
@@ -47,7 +47,7 @@ def read_text(path: Path, where: str) -> list[Source]:
     except ValueError:
         text = content.decode("latin-1")
     if "\0" in text:
-        raise DatasetError(f"{where}: this is no text; is its ending right?")
+        raise DatasetError(f"{where}: this is not a text file; is its file extension right?")
     text = _SIGN_OF_EXCEL.sub("", text)
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -62,7 +62,7 @@ def read_text(path: Path, where: str) -> list[Source]:
 
 
 def _sign(lines: Sequence[str]) -> str | None:
-    """What parts the cells: comma, semicolon, tab, or (None) blanks."""
+    """The separator of the cells: comma, semicolon, tab, or None for blanks."""
     sample = [line for line in lines if line.strip() and not _is_comment(line)][:_LINES_SNIFFED]
     for sign in (";", "\t"):
         if sample and all(sign in line for line in sample[:2]):
@@ -75,7 +75,7 @@ def _sign(lines: Sequence[str]) -> str | None:
 
 
 def _decimal_commas(sample: Sequence[str]) -> bool:
-    """Whether the commas are those of numbers, between blanks."""
+    """Whether the commas are decimal commas of numbers between blanks."""
     cells = sample[-1].split()
     return len(cells) > 1 and all(re.fullmatch(r"[-+]?\d+(,\d+)?(e[-+]?\d+)?", cell, re.I) for cell in cells)
 
@@ -86,7 +86,9 @@ def _is_comment(line: str) -> bool:
 
 def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
     if sum(map(text.count, (sign or " ", "\n"))) > MOST_CELLS:
-        raise DatasetError(f"{where}: more than {MOST_CELLS} cells; cut the recording into several files")
+        raise DatasetError(
+            f"{where}: has more than {MOST_CELLS} cells; split the recording into several files"
+        )
     try:
         if sign is None:
             return [line.split() for line in text.splitlines()]
@@ -96,7 +98,7 @@ def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
 
 
 def _table(text: str, lines: Sequence[str], where: str) -> Source:
-    """A table with one line of header, or none, in whatever dialect."""
+    """A table with one header line or none, in any dialect."""
     comments = 0
     while comments < len(lines) and (_is_comment(lines[comments]) or not lines[comments].strip()):
         comments += 1
@@ -114,14 +116,13 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
         names, rows = (rows[0], rows[1:]) if rows else ([], [])
         if len(rows) > 1 and _words_over_numbers(rows[0], rows[1], decimal):
             raise DatasetError(
-                f"{where}, row 0: words stand under the header, such as {parsing.shown(rows[0][0])}; if they"
-                " are"
-                " units, delete the line, and say them in setup.yaml under `unit`"
+                f"{where}, row 0: there are words below the header, such as {parsing.shown(rows[0][0])}; if"
+                " they are units, delete the line and give them in setup.yaml under `unit`"
             )
     names = [name.strip() for name in names]
     wide = {len(row) for row in rows}
     if len(names) > 1 and not names[-1] and wide <= {0, len(names), len(names) - 1}:
-        names = names[:-1]  # every line ends in the sign
+        names = names[:-1]  # every line ends with the separator
     source = Source(where, "", _columns(names, rows, where), decimal=decimal)
     if names and names[0] == "%time":  # rostopic echo -p
         stamp = next((name for name in names if name.endswith("header.stamp")), "%time")
@@ -131,7 +132,7 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
 
 
 def _is_header(comment: str, line: str, sign: str | None) -> bool:
-    """Whether a line of comment before the first row names its columns."""
+    """Whether a comment line before the first row names the columns."""
     names = comment.split(sign)
     return len(names) > 1 and len(names) == len(line.split(sign))
 
@@ -154,7 +155,7 @@ def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
 
 
 def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: str) -> bool:
-    """Whether every cell of a row is a word or empty, and numbers stand under the words."""
+    """Whether every cell of a row is a word or empty, with numbers below the words."""
     words = [k for k, cell in enumerate(first) if cell.strip().lower() not in NO_NUMBER]
     if not words or any(any(sign.isdigit() for sign in first[k]) or _numeric(first[k]) for k in words):
         return False
@@ -162,13 +163,15 @@ def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: st
 
 
 def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> dict[str, Column]:
-    """Columns by name; of two of one name the second is called name.1, and so on."""
+    """Columns by name; the second of two with the same name becomes name.1, and so on."""
     filled = [row for row in rows if row]
     for number, row in enumerate(filled):
         if len(row) != len(names) and not (len(row) == len(names) + 1 and not row[-1].strip()):
-            raise DatasetError(f"{where}, row {number}: has {len(row)} cells, the header {len(names)}")
+            raise DatasetError(
+                f"{where}, row {number}: has {len(row)} cells, but the header has {len(names)}"
+            )
     if not filled:
-        raise DatasetError(f"{where}: holds a header and no rows")
+        raise DatasetError(f"{where}: has a header but no rows")
     named: dict[str, Column] = {}
     for number, (name, cells) in enumerate(zip(names, zip(*filled, strict=False), strict=False)):
         unique, repeated = name, 0
@@ -180,11 +183,11 @@ def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) ->
 
 
 def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple[FloatArray, str]:
-    """(T,) times of one column, or of seconds and nanoseconds, s; and what was concluded, empty where nothing
-    was.
+    """(T,) times, s, from one column or from seconds and nanoseconds, and a remark on how they were read, or
+    "".
 
-    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count `unit`
-    seconds each; without one, stamps since 1970 are known by their size and all others are s.
+    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count in units of
+    `unit` seconds; without one, stamps since 1970 are recognised by their size and all others are in s.
     """
     if len(columns) == 2:
         return source.numbers(columns[0]) + 1e-9 * source.numbers(columns[1]), ""
@@ -208,7 +211,7 @@ def _moments(source: Source, column: str) -> FloatArray:
     for row, cell in enumerate(source.texts(column)):
         value = _moment(cell) if cell else float("nan")
         if value is None:
-            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is no time")
+            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is not a time")
         result.append(value)
     return np.array(result)
 
@@ -228,19 +231,19 @@ def _moment(cell: str) -> float | None:
 
 
 def _motive(rows: list[list[str]], where: str) -> list[Source]:
-    """Rigid bodies of an export of OptiTrack Motive: name, x, y, z and a quaternion each, on one clock.
+    """Rigid bodies of an OptiTrack Motive export: name, x, y, z and a quaternion each, on one clock.
 
-    Motive's world has y up unless its export was told otherwise, which the file does not say.
+    Motive's world has y up unless the export was configured otherwise, which the file does not show.
     """
     said = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     length = _LENGTHS.get(said.get("Length Units", "Meters").strip().lower())
     if length is None:
-        raise DatasetError(f"{where}: lengths in {parsing.shown(said['Length Units'])} are not known")
+        raise DatasetError(f"{where}: unknown unit of length {parsing.shown(said['Length Units'])}")
     place = next((k for k, row in enumerate(rows[:20]) if row and row[0].strip() == "Frame"), None)
     names = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Name"), None)
     if place is None or names is None or place == 0:
         raise DatasetError(
-            f"{where}: an export of Motive without its lines Name and Frame; export it anew with the header"
+            f"{where}: this Motive export lacks the lines Name and Frame; export it again with the header"
         )
     kinds = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Type"), [])
     what, axis = rows[place - 1], rows[place]
@@ -268,16 +271,18 @@ def _motive(rows: list[list[str]], where: str) -> list[Source]:
             values |= zip(("qx", "qy", "qz", "qw"), turns, strict=True)
         sources.append(Source(where, name, values, time, length, up="y"))
     if not sources:
-        raise DatasetError(f"{where}: holds no rigid body with a position; export rigid bodies from Motive")
+        raise DatasetError(
+            f"{where}: contains no rigid body with a position; export rigid bodies from Motive"
+        )
     return sources
 
 
 def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]:
-    """Columns x, y, z, w of Euler angles X, Y, Z in degrees, turned about moving axes in an order."""
+    """Columns x, y, z, w from Euler angles X, Y, Z in degrees about moving axes in a given order."""
     from scipy.spatial.transform import Rotation
 
     if sorted(order.upper()) != ["X", "Y", "Z"]:
-        raise DatasetError(f"{where}: rotations of the type {parsing.shown(order)} are not known")
+        raise DatasetError(f"{where}: unknown rotation type {parsing.shown(order)}")
     known = np.isfinite(angles).all(axis=1)
     result = np.full((len(angles), 4), np.nan)
     columns = ["XYZ".index(axis) for axis in order.upper()]
@@ -288,16 +293,16 @@ def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]
 
 
 def _vicon(rows: list[list[str]], where: str) -> list[Source]:
-    """Objects of an export of Vicon Tracker or Nexus, whose frames count from a rate in the second line."""
+    """Objects of a Vicon Tracker or Nexus export, whose frames count at the rate in the second line."""
     place = next((k for k, row in enumerate(rows[:12]) if row and row[0].strip() == "Frame"), None)
     if place is None or place < 2:
-        raise DatasetError(f"{where}: an export of Vicon without its line Frame; export it anew")
+        raise DatasetError(f"{where}: this Vicon export lacks the line Frame; export it again")
     try:
         rate = float(rows[1][0])
         if not rate > 0.0:
             raise ValueError
     except (ValueError, IndexError):
-        raise DatasetError(f"{where}: its second line should be the rate in Hz") from None
+        raise DatasetError(f"{where}: the second line must be the rate in Hz") from None
     units = rows[place + 1] if place + 1 < len(rows) else []
     stop = next((k for k, row in enumerate(rows) if k > place + 1 and not any(map(str.strip, row))), None)
     body = rows[place + 2 : stop]
@@ -327,5 +332,5 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
         if {"x", "y", "z"} <= values.keys():
             sources.append(Source(where, name, values, time, lengths[name]))
     if not sources:
-        raise DatasetError(f"{where}: holds no object with a position (TX, TY, TZ)")
+        raise DatasetError(f"{where}: contains no object with a position (TX, TY, TZ)")
     return sources

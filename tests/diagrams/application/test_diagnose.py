@@ -144,6 +144,6 @@ def test_it_is_counted_how_far_asking_every_effect_is():
         quick=True,
         progress=lambda *now: told.append(now),
     )
-    asked = [(done, total) for stage, done, total in told if stage == "asking every effect"]
+    asked = [(done, total) for stage, done, total in told if stage == "screening effects"]
     parts = asked[0][1]
     assert parts > 5 and asked == [(done, parts) for done in range(parts + 1)]

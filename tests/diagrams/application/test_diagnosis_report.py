@@ -141,8 +141,10 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     assert standing(rare, undecided) == "the pushes do not agree on it"
     one = replace(undecided, open_trials=undecided.open_trials[:1])
     assert standing(rare, one) == "no other push to agree with"
-    refuted = replace(undecided, objections={"tether": "its 90 % interval holds nothing at all"})
-    assert of(refuted, "tether", fitted_gain=best) == "its 90 % interval holds nothing at all"
+    refuted = replace(
+        undecided, objections={"tether": "its 90 % interval is consistent with no effect at all"}
+    )
+    assert of(refuted, "tether", fitted_gain=best) == "its 90 % interval is consistent with no effect at all"
 
 
 def test_no_gain_that_counts_is_called_chance(tilted):

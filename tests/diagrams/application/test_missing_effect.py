@@ -40,7 +40,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     assert said.out.startswith("Verdict: effect. The model lacks one effect: sensor_latency.")
     assert "sensor_latency: the tracker is 7" in said.out or "sensor_latency: the tracker is 8" in said.out
     assert found["next_push"]["sentence"] in " ".join(said.out.split())
-    assert "asking every effect: done" in said.err and f"report: {html}" in said.err
+    assert "screening effects: done" in said.err and f"report: {html}" in said.err
     page = assert_alone(html.read_text())
     assert page.text.index(found["sentence"]) < page.text.index("Locked pushes")
     assert page.rows == 12

@@ -95,7 +95,7 @@ def test_a_belief_about_another_object_is_refused(slipmap, tilted_folder, belief
 def test_demo_does_not_overwrite_what_it_did_not_make(slipmap, tmp_path):
     (tmp_path / "pushes").mkdir()
     (tmp_path / "pushes" / "thesis.txt").write_text("years of work")
-    assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "pushes", "no push dataset")
+    assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "pushes", "not a push dataset")
     assert files_in(tmp_path) == ["pushes/thesis.txt"]
 
 

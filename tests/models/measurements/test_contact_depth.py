@@ -33,12 +33,16 @@ def test_exact_contact_is_read_without_a_word(tmp_path):
         (posed(lambda pose: pose * [1.0, 1.0, -1.0]), ["is theta's sign right?"]),
         (
             posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])),
-            ["is theta, or the outline, turned by", "90°?"],
+            ["is theta, or the outline, rotated by", "90°?"],
         ),
-        (tipped(lambda tip: np.add(tip, [0.006, -0.003])), ["tip_offset (6, -3) mm", "not the flange's"]),
+        (tipped(lambda tip: np.add(tip, [0.006, -0.003])), ["tip_offset (6, -3) mm", "not the flange"]),
         (
             posed(lambda pose: compose(pose, np.array([0.004, 0.005, 0.0]))),
-            ["tracked frame sits at (4, 5) mm in the object's", "turned by 0.0°", "effect tracker_offset"],
+            [
+                "tracked frame lies at (4, 5) mm in the object frame",
+                "rotated by 0.0°",
+                "effect tracker_offset",
+            ],
         ),
         (late(0.06), ["are the object's poses stamped 60 ms late?"]),
     ],
@@ -46,9 +50,9 @@ def test_exact_contact_is_read_without_a_word(tmp_path):
 def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words):
     dataset = reread(tmp_path, straight_pushes(), change)
     assert len(dataset.trials) == 12
-    deep = [warning for warning in dataset.warnings if "mm but for" in warning]
+    deep = [warning for warning in dataset.warnings if "one correction would" in warning]
     assert len(deep) == 1, dataset.warnings
-    for word in ["the object", "of 12 pushes; it would be 0.0 mm but for one thing", *words]:
+    for word in ["the object", "of 12 pushes; one correction would make it 0.0 mm", *words]:
         assert word in deep[0], deep[0]
 
 
@@ -56,7 +60,7 @@ def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words)
     ("change", "words"),
     [
         (posed(lambda pose: pose * [1.0, 1.0, -1.0]), "is theta's sign right?"),
-        (posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])), "turned by"),
+        (posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])), "rotated by"),
         (tipped(lambda tip: np.add(tip, [0.006, -0.003])), None),
         (posed(lambda pose: pose), None),
     ],
@@ -90,7 +94,7 @@ def test_a_finger_thicker_than_it_is_and_what_nothing_explains(tmp_path):
 
     warnings = reread(tmp_path, straight_pushes(), scattered).warnings
     (deep,) = [warning for warning in warnings if "the finger goes" in warning]
-    assert "is theta's sign, the frame, the clock or the finger's point right" in deep
+    assert "check theta's sign, the frames, the clocks" in deep
 
 
 def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
@@ -98,9 +102,9 @@ def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
     dataset = reread(tmp_path, straight_pushes(), deeper, only=5)
     (warning,) = dataset.warnings
     assert warning.startswith(
-        "trials/005.json: the finger goes 9.0 mm into the object, while it fits in 11 of 12"
+        "trials/005.json: the finger goes 9.0 mm into the object, but contact fits in 11 of 12"
     )
-    assert "left out; `keep: true` beside its file" in warning
+    assert "left out; to keep it, set `keep: true` beside its file" in warning
     assert len(dataset.trials) == 11 and "trials/005.json" not in [trial.name for trial in dataset.trials]
 
     path = tmp_path / "pushes" / "dataset.yaml"
@@ -110,7 +114,7 @@ def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
     forced_ = read_dataset(path.parent)
     names = [trial.name for trial in forced_.trials]
     assert "trials/005.json" in names and "trials/007.json" not in names
-    assert "kept, as was asked for" in forced_.warnings[0]
+    assert "kept as requested" in forced_.warnings[0]
     again = read_dataset(write_dataset(forced_, tmp_path / "again"))
     assert [trial.name for trial in again.trials] == names
     assert len(read_dataset(write_dataset(forced_, tmp_path / "third"), keep_all=True).trials) == 11
@@ -124,7 +128,7 @@ def test_of_few_pushes_none_is_left_out(tmp_path):
     """Of four, one says little about the others; the last push to learn from stays in any case."""
     deeper = tipped(lambda tip: tip + 0.3 * (tip[-1] - tip[0]) / np.hypot(*(tip[-1] - tip[0])) * 0.03)
     four = reread(tmp_path, straight_pushes(4), deeper, only=2)
-    assert len(four.trials) == 4 and "1 of 4 pushes: is theta's sign, the frame" in four.warnings[0]
+    assert len(four.trials) == 4 and "1 of 4 pushes; check theta's sign, the frame" in four.warnings[0]
     one_fit = straight_pushes(8)
     trials = tuple(replace(t, role="fit" if n == 1 else "heldout") for n, t in enumerate(one_fit.trials))
     assert len(reread(tmp_path, replace(one_fit, trials=trials), deeper, only=1).trials) == 8
@@ -134,7 +138,7 @@ def test_one_push_tells_no_offset(tmp_path):
     """Three numbers explain any single push."""
     tip = tipped(lambda tip: np.add(tip, [0.012, 0.012]))
     (warning,) = [w for w in reread(tmp_path, straight_pushes(1), tip).warnings if "the finger" in w]
-    assert "1 of 1 pushes: is theta's sign, the frame, the clock or the finger's point right" in warning
+    assert "1 of 1 pushes; check theta's sign, the frames, the clocks" in warning
 
 
 def test_a_finger_that_starts_inside_is_no_reason_to_refuse(tmp_path):
@@ -149,14 +153,14 @@ def test_a_force_in_another_frame_is_named_with_its_turn(tmp_path, turned):
         return np.column_stack([rotated(wrench[:, :2], np.radians(turned)), wrench[:, 2]])
 
     (warning,) = reread(tmp_path, straight_pushes(), forced(change)).warnings
-    assert f"on 100 % of the rows; turned by about {-turned}°" in warning
-    assert "100 % would fit; ft_wrench is the force of the finger on the object in the world" in warning
+    assert f"on 100 % of the rows; rotated by about {-turned}°" in warning
+    assert "100 % would fit; ft_wrench must be the force of the finger on the object in the world" in warning
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda w: -w, "with its sign turned, as the force of the object on the finger is"),
+        (lambda w: -w, "with its sign reversed, as if it were the force of the object on the finger"),
         (lambda w: w * [-1, 1, 1], "with fx negated"),
         (lambda w: w * [1, -1, 1], "with fy negated"),
         (lambda w: w[:, [1, 0, 2]], "with fx and fy swapped 100 %"),
@@ -175,7 +179,7 @@ def test_a_force_in_the_objects_frame_is_named(tmp_path):
         return replace(trial, ft_wrench=Channel(trial.ft_wrench.time, turned))
 
     (warning,) = reread(tmp_path, straight_pushes(), change).warnings
-    assert "turned by theta, as from the object's frame, 100 % would fit" in warning
+    assert "rotated by theta, as if from the object frame, 100 % would fit" in warning
 
 
 def test_a_force_within_friction_is_no_fault(tmp_path):
@@ -197,7 +201,7 @@ def case(shared_data, name):
     [
         ("theta_sign_wrong_y_up", ["goes 12 mm into the object during 10 of 10", "is theta's sign right?"]),
         ("tip_is_flange_not_finger", ["tip_offset (4, -2) mm"]),
-        ("force_in_rotated_frame", ["off the contact's normal", "turned by about -90°"]),
+        ("force_in_rotated_frame", ["off the contact normal", "rotated by about -90°"]),
     ],
 )
 def test_shared_cases_are_named(shared_data, name, words):

@@ -71,11 +71,11 @@ def changed(row, text):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (changed(6, "0.040,abc,0,0,,,,,"), ["row 6, object_x: 'abc' is no number"]),
-        (changed(6, "0.040,1_0,0,0,,,,,"), ["row 6, object_x: '1_0' is no number"]),
-        (changed(6, "0.040,0,0"), ["row 6: has 3 cells, the header 9"]),
+        (changed(6, "0.040,abc,0,0,,,,,"), ["row 6, object_x: 'abc' is not a number"]),
+        (changed(6, "0.040,1_0,0,0,,,,,"), ["row 6, object_x: '1_0' is not a number"]),
+        (changed(6, "0.040,0,0"), ["row 6: has 3 cells, but the header has 9"]),
         (changed(6, "0.020,0,0,0,,,,,"), ["object_pose, row 6", "repeats that of row 3"]),
-        (changed(6, "0.010,0,0,0,,,,,"), ["object_pose, row 6", "goes back behind that of row 3"]),
+        (changed(6, "0.010,0,0,0,,,,,"), ["object_pose, row 6", "is earlier than that of row 3"]),
         (changed(6, "0.040,inf,0,0,,,,,"), ["object_pose, row 6", "infinite"]),
         (changed(6, ",0.1,0,0,,,,,"), ["object_pose, row 6: has values but no time"]),
         (lambda rows: rows.clear(), ["object_pose: has no rows"]),
@@ -95,13 +95,16 @@ def test_faults_name_the_row_below_the_header(tmp_path, change, words):
     [
         (
             "time" + HEADER[1:],
-            ["lacks t;", "expected are t, object_x, object_y, object_theta, tip_x, tip_y and"],
+            ["lacks t;", "expected columns are t, object_x, object_y, object_theta, tip_x, tip_y and"],
         ),
         (HEADER.replace("tip_x,tip_y", "finger_x,finger_y"), ["lacks tip_x, tip_y"]),
-        (HEADER.replace(",", ";"), ["parted by semicolons", "push.csv --guess"]),
-        (HEADER.replace(",", "\t"), ["parted by tabs", "push.csv --guess"]),
-        (HEADER.replace(",", " "), ["parted by blanks", "push.csv --guess"]),
-        ("Format Version,1.23,Take Name,push", ["export of OptiTrack Motive", "expected are t, object_x"]),
+        (HEADER.replace(",", ";"), ["separated by semicolons", "push.csv --guess"]),
+        (HEADER.replace(",", "\t"), ["separated by tabs", "push.csv --guess"]),
+        (HEADER.replace(",", " "), ["separated by blanks", "push.csv --guess"]),
+        (
+            "Format Version,1.23,Take Name,push",
+            ["OptiTrack Motive export", "expected columns are t, object_x"],
+        ),
         (HEADER.replace("object_theta", "qx,qy,qz,qw"), ["lacks object_theta", "2 atan2(qz, qw)"]),
         (HEADER.replace("t,", "stamp.sec,stamp.nanosec,", 1), ["lacks t", "sec + 1e-9 nanosec"]),
         (HEADER.replace("force_y", "fy"), ["lacks force_y", "force_x, force_y, force_tau"]),
@@ -128,7 +131,7 @@ def test_text_in_columns_nobody_asked_for_is_ignored(tmp_path):
     dataset = read_dataset(write(tmp_path, rows, header), object_name="rect1")
     assert dataset.warnings[0].count("'phase'") == 2 and "are unknown and ignored" in dataset.warnings[0]
     assert len(dataset.warnings) == 1 and len(dataset.trials[0].object_pose.time) == 40
-    with pytest.raises(DatasetError, match="'/world' is no number"):
+    with pytest.raises(DatasetError, match="'/world' is not a number"):
         read_dataset(
             write(tmp_path, rows, HEADER.replace("force_tau", "tau") + ",in_contact,phase,force_tau"),
             object_name="rect1",
@@ -173,7 +176,7 @@ def test_bytes_that_are_no_csv(tmp_path, content):
 
 
 def test_the_object_must_be_named(tmp_path):
-    with pytest.raises(DatasetError, match="says nothing of the object that was pushed"):
+    with pytest.raises(DatasetError, match="does not say which object was pushed"):
         read_dataset(write(tmp_path, lines()))
 
 
@@ -217,7 +220,7 @@ def test_columns_of_other_names_and_units(tmp_path):
 
 def test_a_header_without_a_column_that_was_named(tmp_path):
     with pytest.raises(
-        DatasetError, match="lacks stamp, block x, finger_x; expected are stamp, block x, obj"
+        DatasetError, match="lacks stamp, block x, finger_x; expected columns are stamp, block x, obj"
     ):
         read_dataset(write(tmp_path, lines()), object_name=described(tmp_path))
 
@@ -225,12 +228,12 @@ def test_a_header_without_a_column_that_was_named(tmp_path):
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("tipx: a", ["csv.tipx", "there are t, object_x"]),
+        ("tipx: a", ["csv.tipx", "choose from t, object_x"]),
         ("t: {unit: min}", ["csv.t.unit: must be one of s, ms, us, ns, got 'min'"]),
         ("object_x: {unit: deg}", ["csv.object_x.unit", "m, cm, mm, um"]),
         ("object_x: {name: a}", ["csv.object_x", "'name'", "column and unit"]),
         ("object_x: 3", ["csv.object_x", "3"]),
-        ("tip_x: object_x", ["'object_x' cannot be object_x and tip_x"]),
+        ("tip_x: object_x", ["'object_x' cannot be both object_x and tip_x"]),
     ],
 )
 def test_wrong_words_about_columns_are_answered_with_the_right_ones(tmp_path, entry, words):

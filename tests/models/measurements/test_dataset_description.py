@@ -40,10 +40,10 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (without("object", "outline"), ["`outline` is missing"]),
         (set_at(["object", "outline"], CROSSED), ["not a simple polygon"]),
         (set_at(["object", "outline"], MILLIMETRES), ["outline: reaches 50 m", "divide by 1000?"]),
-        (set_at(["object", "outline"], [[0, 0], [1e-5, 0], [0, 1e-5]]), ["outline: is only 1e-05 m large"]),
+        (set_at(["object", "outline"], [[0, 0], [1e-5, 0], [0, 1e-5]]), ["outline: is only 1e-05 m across"]),
         (set_at(["object", "cells", "centers", 3, 1], 1e200), ["object.cells: reaches 1e+200 m"]),
         (set_at(["object", "cells", "width"], 20.0), ["object.cells: reaches 20 m"]),
-        (set_at(["noise", "position"], 1e300), ["noise.position: a standard deviation lies in 0 to 0.1"]),
+        (set_at(["noise", "position"], 1e300), ["noise.position: a standard deviation must lie"]),
         (set_at(["object", "outline"], [[0, 0], [1, 0]]), ["at least three corners"]),
         (set_at(["object", "outline", 2], [0.05, math.nan]), ["outline, row 2", "two finite numbers"]),
         (set_at(["object", "holes"], 3), ["object.holes: must be a list of rings", "got 3"]),
@@ -54,8 +54,8 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["object", "cells", "centers"], []), ["there are no cells"]),
         (set_at(["object", "cells", "centers", 4, 0], math.nan), ["cell centres: point 4 is not finite"]),
         (set_at(["object", "cells", "centers"], [[1.0, 1.0]]), ["no centre lies inside the outline"]),
-        (set_at(["object", "mass"], 1e30), ["object.mass: lies in 1e-06 to 1e+06 kg, got 1e+30"]),
-        (set_at(["gravity"], 1e300), ["gravity: lies in 0.001 to 1000 m/s²"]),
+        (set_at(["object", "mass"], 1e30), ["object.mass: must lie between 1e-06 and 1e+06 kg, got 1e+30"]),
+        (set_at(["gravity"], 1e300), ["gravity: must lie between 0.001 and 1000 m/s²"]),
         (set_at(["object", "mass"], -1.0), ["object.mass: must be positive (kg), got -1.0"]),
         (set_at(["object", "height"], 0), ["object.height: must be positive"]),
         (without("finger"), ["`finger` is missing"]),
@@ -65,7 +65,7 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["finger", "radius"], 4.75), ["finger.radius is 4.75 m", "divide by 1000?"]),
         (set_at(["gravity"], -9.81), ["gravity: must be positive"]),
         (set_at(["gravity"], None), ["gravity: must be a number, got None"]),
-        (set_at(["noise", "tip"], -1e-3), ["noise.tip: a standard deviation lies in 0 to 0.1, got -0.001"]),
+        (set_at(["noise", "tip"], -1e-3), ["deviation must lie between 0 and 0.1, got -0.001"]),
         (set_at(["table", "shape"], "oval"), ["table.shape: must be round or rectangle, got 'oval'"]),
         (set_at(["table", "radius"], 0), ["table.radius: must be positive"]),
         (set_at(["table", "center"], [1.0]), ["table.center: must be two numbers"]),
@@ -78,7 +78,7 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["trials", 1, "file"], "trials/../trials/000.json"), ["row 1", "listed twice"]),
         (set_at(["trials", 1, "file"], "../other.json"), ["trials, row 1", "outside the dataset's folder"]),
         (set_at(["trials", 1, "file"], "/etc/hostname"), ["trials, row 1", "outside the dataset's folder"]),
-        (set_at(["trials", 1, "file"], "no\0name"), ["trials, row 1", "no usable file name"]),
+        (set_at(["trials", 1, "file"], "no\0name"), ["trials, row 1", "not a usable file name"]),
         (set_at(["trials", 1, "file"], "x" * 5000), ["cannot be read"]),
         (set_at(["trials", 1, "file"], "trials"), ["trials: is a folder"]),
         (without("trials", 1, "file"), ["trials, row 1: `file` is missing"]),
@@ -102,7 +102,7 @@ def test_faults_in_the_description(example, change, words):
         (set_at(["object", "cells", "centers", 3], [0.041, 0.04]), "some cells overlap"),
         (set_at(["object", "cells", "width"], 0.002), "area is 0.01 times that of the outline"),
         (set_at(["object", "outline"], CLOSED), "last corner repeats the first"),
-        (set_at(["object", "outline"], [*CLOSED[:2], *CLOSED[1:4]]), "row 2: the same corner as the one"),
+        (set_at(["object", "outline"], [*CLOSED[:2], *CLOSED[1:4]]), "row 2: repeats the corner before"),
         (set_at(["object", "weight"], 1.2), "object: the key 'weight' is unknown and ignored (known: cells,"),
         (set_at(["gravitation"], 9.81), "the key 'gravitation' is unknown"),
         (set_at(["finger", "diameter"], 0.01), "finger: the key 'diameter' is unknown"),
@@ -113,7 +113,7 @@ def test_faults_in_the_description(example, change, words):
         (set_at(["object", "mass"], 0.000815), "is it in kg"),
         (set_at(["noise", "torque"], 0.1), "noise: the key 'torque' is unknown"),
         (set_at(["trials", 0, "weight"], 2), "trials, row 0: the key 'weight' is unknown"),
-        (set_at(["gravity"], 981.0), "9.81 was to be expected"),
+        (set_at(["gravity"], 981.0), "expected about 9.81"),
     ],
 )  # fmt: skip
 def test_suspicions_about_the_description(example, change, word):
@@ -144,7 +144,7 @@ MERGED = "a: &a {x: 1, y: 2}\n" + "".join(
         ("", "must be a mapping"),
         ("- 1\n- 2\n", "must be a mapping"),
         ("{a: [1, 2", "not valid YAML"),
-        ("a: 1\na: 2\n", "'a' stands there twice, again in line 2"),
+        ("a: 1\na: 2\n", "'a' appears twice, again in line 2"),
         ("? [1, 2]\n: 3\n", "not valid YAML"),
         ("1: 2\n", "keys must be text"),
         ("a: !!python/object/apply:os.system [echo hacked]\n", "not valid YAML"),
@@ -192,15 +192,15 @@ def test_nothing_there(tmp_path, path):
 
 
 def test_an_empty_folder_or_a_file_of_another_kind(tmp_path):
-    with pytest.raises(DatasetError, match="holds no measurements; wanted is a push dataset"):
+    with pytest.raises(DatasetError, match="contains no measurements; expected a push dataset"):
         read_dataset(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(DatasetError, match="a file of another kind; wanted is a push dataset"):
+    with pytest.raises(DatasetError, match="this kind of file cannot be read; expected a push dataset"):
         read_dataset(tmp_path / "notes.txt")
 
 
 def test_a_push_dataset_needs_no_object_name(example):
-    with pytest.raises(DatasetError, match="describes its object itself"):
+    with pytest.raises(DatasetError, match="describes its own object"):
         read_dataset(example.write(), object_name="hex")
 
 

@@ -103,7 +103,7 @@ def test_the_trial_of_a_push_dataset_is_not_taken_for_an_mit_file(example):
     folder = example.write()
     for path in (folder / "trials/000.json", folder / "trials"):
         with pytest.raises(
-            DatasetError, match=r"belongs to the push dataset .*example, where forces have the opposite"
+            DatasetError, match=r"belongs to the push dataset .*example, whose forces have the opposite"
         ):
             read_dataset(path, object_name="rect1")
 
@@ -128,17 +128,19 @@ def test_an_object_of_ones_own(tmp_path):
 
 def test_the_object_must_be_known(tmp_path):
     nameless = write_json(tmp_path / "pushes", name="push_{}")
-    with pytest.raises(DatasetError, match=r"says nothing of the object .* \(ellip1, .* or a YAML file"):
+    with pytest.raises(
+        DatasetError, match=r"does not say which object was pushed.* \(ellip1, .* or a YAML file"
+    ):
         read_dataset(nameless)
     assert read_dataset(nameless, object_name="rect1").mass == 0.8374
-    with pytest.raises(DatasetError, match="no outline is known of 'rect9', only of ellip1,"):
+    with pytest.raises(DatasetError, match="the outline of 'rect9' is unknown; known are ellip1,"):
         read_dataset(nameless, object_name="rect9")
     with pytest.raises(DatasetError, match=r"object\.yaml: there is no such file"):
         read_dataset(nameless, object_name="object.yaml")
     with pytest.raises(DatasetError, match="say shape=rect1, not hex"):
         read_dataset(write_json(tmp_path / "named"), object_name="hex")
     butterfly = write_json(tmp_path / "butterfly", name="motion_shape=butter_{}")
-    with pytest.raises(DatasetError, match="no outline is known of 'butter'"):
+    with pytest.raises(DatasetError, match="the outline of 'butter'"):
         read_dataset(butterfly)
 
 
@@ -154,7 +156,7 @@ def test_a_folder_is_about_one_object(tmp_path):
 def test_two_surfaces_are_mentioned(tmp_path):
     write_json(tmp_path / "pushes", 0)
     write_json(tmp_path / "pushes", 1, name="motion_surface=abs_shape=rect1_{}")
-    assert "surfaces abs, plywood" in read_dataset(tmp_path / "pushes").warnings[0]
+    assert "surfaces, abs, plywood" in read_dataset(tmp_path / "pushes").warnings[0]
 
 
 @pytest.mark.parametrize("write", [write_json, write_hdf5])
@@ -197,11 +199,11 @@ def hdf5_of(change):
         (lambda path: path.write_bytes(b""), "not readable as HDF5"),
         (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\0" * 100), "not readable as HDF5"),
         (hdf5_of(lambda file: file.create_group("tip_pose")), "must be an array inside the file"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=b"text")), "must hold numbers"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=[["a", "b"]])), "must hold numbers"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=b"text")), "must contain numbers"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", data=[["a", "b"]])), "must contain numbers"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=np.zeros((3, 5)))), r"the shape \(3, 5\)"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=1.0)), r"the shape \(\)"),
-        (hdf5_of(lambda file: file.create_dataset("tip_pose", (10**12, 4), "f8", chunks=(9, 4))), "more"),
+        (hdf5_of(lambda file: file.create_dataset("tip_pose", (10**12, 4), "f8", chunks=(9, 4))), "at most"),
         (hdf5_of(lambda file: file.create_dataset("tip_pose", data=h5py.Empty("f"))), "tip_pose"),
         (hdf5_of(lambda file: file.update(tip_pose=h5py.ExternalLink("/etc/passwd", "/x"))), "is missing"),
         (hdf5_of(lambda file: file.update(tip_pose=h5py.SoftLink("/object_pose"))), "is missing"),

@@ -36,11 +36,11 @@ def test_channel_refuses(time, values, complaint):
 
 
 def test_trial_refuses_wrong_columns_roles_and_single_poses():
-    with pytest.raises(DatasetError, match=r"a\.json: tip_pose needs 2 columns beside time, has 3"):
+    with pytest.raises(DatasetError, match=r"a\.json: tip_pose needs 2 columns besides time, has 3"):
         Trial("a.json", "fit", channel(5, 3), channel(5, 3))
     with pytest.raises(DatasetError, match=r"a\.json: role must be fit or heldout, got 'test'"):
         Trial("a.json", "test", channel(5, 3), channel(5, 2))
-    with pytest.raises(DatasetError, match="object_pose needs two rows"):
+    with pytest.raises(DatasetError, match="object_pose needs at least two rows"):
         Trial("a.json", "fit", channel(1, 3), channel(5, 2))
 
 
@@ -88,7 +88,7 @@ def test_roles_and_the_first_fit_pushes(example):
 
 @pytest.mark.parametrize("count", [0, -1, 3])
 def test_more_fit_pushes_than_there_are(example, count):
-    with pytest.raises(ValueError, match=f"{count} fit trials wanted, it has 2; take 1 to 2"):
+    with pytest.raises(ValueError, match=f"cannot take {count} of 2 fit trials; take 1 to 2"):
         read_dataset(example.write()).with_fit_pushes(count)
 
 

@@ -136,7 +136,7 @@ def test_nothing_to_learn_from(example):
 def test_a_force_given_the_other_way_round_is_noticed(example):
     for row in record(example)["ft_wrench"]:
         row[1:] = [-value for value in row[1:]]
-    warned(example, "trials/001.json", "against the finger's way", "the other way round?")
+    warned(example, "trials/001.json", "against the finger's motion", "is its sign reversed?")
 
 
 def test_a_frozen_tracker_is_noticed(example):
@@ -147,4 +147,4 @@ def test_a_frozen_tracker_is_noticed(example):
 
 def test_a_finger_of_one_row_is_noticed(example):
     record(example)["tip_pose"] = record(example)["tip_pose"][:1]
-    assert any("tip_pose has one row" in warning for warning in read_dataset(example.write()).warnings)
+    assert any("tip_pose has only one row" in warning for warning in read_dataset(example.write()).warnings)

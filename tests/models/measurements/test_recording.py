@@ -91,7 +91,7 @@ def test_an_earlier_recording_stays_until_the_first_push_and_is_gone_then(tmp_pa
 def test_other_files_in_the_folder_are_told_before_anything_is_recorded(tmp_path):
     record(tmp_path / "pushes", 1)
     (tmp_path / "pushes" / "notes.txt").write_text("mine")
-    with pytest.raises(DatasetError, match=r"notes.txt is no part"):
+    with pytest.raises(DatasetError, match=r"notes.txt is not part"):
         PushRecorder(tmp_path / "pushes")
 
 

@@ -90,7 +90,10 @@ def test_one_push_in_which_the_object_is_carried_is_left_out(tmp_path, recorded)
     )
     read = reread(tmp_path, dataset, lambda trial: bad, only=2)
     (warning,) = read.warnings
-    assert warning.startswith("trials/002.json: the object moves 0.") and "left out; `keep: true`" in warning
+    assert (
+        warning.startswith("trials/002.json: the object moves 0.")
+        and "left out; to keep it, set `keep: true`" in warning
+    )
     assert len(read.trials) == 11
 
 

@@ -141,7 +141,7 @@ def test_files_are_readable_to_others_and_nothing_else_is_left(example, tmp_path
 def test_a_dataset_is_replaced_only_on_demand(example, tmp_path):
     dataset = read_dataset(example.write())
     target = write_dataset(dataset, tmp_path / "out")
-    with pytest.raises(DatasetError, match="a push dataset is there already"):
+    with pytest.raises(DatasetError, match="there is already a push dataset"):
         write_dataset(dataset.with_fit_pushes(1), target)
     assert len(read_dataset(target).trials) == 3
     write_dataset(dataset.with_fit_pushes(1), target, overwrite=True)
@@ -160,10 +160,10 @@ def test_nothing_foreign_is_overwritten(example, tmp_path):
     mixed = write_dataset(dataset, tmp_path / "mixed")
     (mixed / "README.md").write_text("mine")
     for name, word in [
-        ("file", "a file stands where"),
-        ("other", "no push dataset"),
+        ("file", "this is a file, not a folder"),
+        ("other", "not a push dataset"),
         ("named", "format is 'photographs/3'"),
-        ("mixed", "README.md is no part of the dataset there and would be lost"),
+        ("mixed", "README.md is not part of the dataset there and would be lost"),
     ]:
         with pytest.raises(DatasetError, match=word):
             write_dataset(dataset, tmp_path / name, overwrite=True)

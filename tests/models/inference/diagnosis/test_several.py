@@ -58,12 +58,12 @@ def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_lock
 
 def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
     for datasets in ([recorded.dataset], [recorded.dataset, recorded.dataset]):
-        with pytest.raises(DatasetError, match="give two or more of different names"):
+        with pytest.raises(DatasetError, match="needs two or more datasets with different names"):
             diagnose_together(datasets)
 
 
 def test_an_unknown_owner_is_refused(recorded):
-    with pytest.raises(ValueError, match="there is no 'force_sensor'; there are object, table, tracker"):
+    with pytest.raises(ValueError, match="unknown owner 'force_sensor'; choose from object, table, tracker"):
         diagnose_together([recorded.dataset], apart=["force_sensor"])
 
 

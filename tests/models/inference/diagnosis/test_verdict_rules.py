@@ -149,7 +149,7 @@ def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
 
 
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
-    assert "too little" in verdict(monkeypatch, 15.0).sentence
+    assert "too faint" in verdict(monkeypatch, 15.0).sentence
     assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
 
 

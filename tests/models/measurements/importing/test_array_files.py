@@ -112,7 +112,7 @@ def test_files_that_explode_are_refused(tmp_path, monkeypatch):
         head + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
     )
     for name in ("a.h5", "a.mat"):
-        with pytest.raises(DatasetError, match="more than the 10000"):
+        with pytest.raises(DatasetError, match="at most 10000"):
             read_sources(tmp_path / name, name)
 
 

@@ -77,7 +77,7 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
 
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
-    with pytest.raises(DatasetError, match="nothing looks like the pose of an object"):
+    with pytest.raises(DatasetError, match="nothing looks like an object's pose"):
         guess_setup(tmp_path / "p.csv")
 
 
@@ -138,7 +138,7 @@ def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp
     for trial, true in zip(read.trials, dataset.trials, strict=False):
         assert trial.tip_pose.time[0] == pytest.approx(true.tip_pose.time[0], abs=0.01)
         assert trial.ft_wrench.time[0] == trial.tip_pose.time[0]
-    assert any("as the finger's, of the same file" in step for step in read.provenance)
+    assert any("as for the finger in the same file" in step for step in read.provenance)
 
 
 @pytest.mark.parametrize("again", [0.0, 0.02, -0.03])

@@ -40,7 +40,7 @@ def test_dialects(tmp_path, text):
 
 
 def test_a_line_of_units_under_the_header_is_told(tmp_path):
-    with pytest.raises(DatasetError, match=r"row 0: words stand under the header, such as 'ms'"):
+    with pytest.raises(DatasetError, match=r"row 0: there are words below the header, such as 'ms'"):
         source(tmp_path, "t,x\nms,mm\n0,1.5\n")
     (table,) = source(tmp_path, "t,x\n,N/A\n0,1.5\n")
     assert table.numbers("x")[1] == 1.5
@@ -48,7 +48,7 @@ def test_a_line_of_units_under_the_header_is_told(tmp_path):
 
 def test_thousands_are_no_decimals(tmp_path):
     (table,) = source(tmp_path, 't,x\n1,"1,500"\n2,"2,500"\n')
-    with pytest.raises(DatasetError, match="'1,500' is no number"):
+    with pytest.raises(DatasetError, match="'1,500' is not a number"):
         table.numbers("x")
 
 
@@ -60,7 +60,7 @@ def test_no_header(tmp_path):
 def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
     (table,) = source(tmp_path, "t,x,phase\n0,N/A,push\n1,,push\n2,null,rest\n3,7,rest\n")
     assert table.numbers("x")[3] == 7.0 and np.isnan(table.numbers("x")[:3]).all()
-    with pytest.raises(DatasetError, match="row 0, phase: 'push' is no number"):
+    with pytest.raises(DatasetError, match="row 0, phase: 'push' is not a number"):
         table.numbers("phase")
 
 
@@ -149,9 +149,9 @@ def test_motive_in_euler_angles(tmp_path):
     [
         ("", "empty"),
         ("t,x\n", "no rows"),
-        ("t,x\n1,2,3\n", "row 0: has 3 cells, the header 2"),
-        ("a\0b", "no text"),
-        ("Format Version,1.23,Take Name,t\n1,2\n", "without its lines Name and Frame"),
+        ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
+        ("a\0b", "not a text file"),
+        ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
         ("Objects\nfast\n,,a\nFrame,Sub Frame,RX\n,,deg\n1,0,1\n", "the rate in Hz"),
     ],
 )
