@@ -66,7 +66,7 @@ class _Recording:
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
     def touched(self, rest: Row) -> bool:
-        """Whether the finger touched the object, now at rest: it moved or pushed back, or no forces are known."""
+        """Whether the finger touched the object: it moved or pushed back, or no forces are known."""
         off = np.abs(np.subtract(rest, self.poses[0]))[1:]
         if (off > _MOVED).any():
             return True

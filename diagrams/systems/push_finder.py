@@ -82,8 +82,8 @@ class PushFinder(PythonSystem):
 
     The finger is down while its end is lower than the object's top. A descent is a push if the object was
     seen at rest before and after it and has moved, the gripper was closed, the finger came near the object,
-    and the arm reported its position throughout. A look counts if the arm was aside then and at the look
-    before.
+    and the arm reported its position throughout. A look counts if the arm was aside before and after
+    the picture was taken.
 
     Args:
         finger_radius: m.
