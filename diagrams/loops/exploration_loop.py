@@ -340,7 +340,7 @@ def patience_for(scenario: Scenario, worker: Executor | None) -> float:
 
 
 def hypothesis_step(time_step: float) -> float:
-    """Time step of the hypotheses, s: a multiple of the plant's, as events in between would split its steps."""
+    """Time step of the hypotheses, s: a multiple of the plant's, so that no event splits a step."""
     return min(time_step * max(1, int(LONGEST_STEP / time_step + 1e-9)), LONGEST_STEP)
 
 

@@ -291,15 +291,14 @@ def why_none(listener: PushListener) -> str:
     if silent:
         heard = [name for name, h in listener.heard().items() if h.count]
         came = f" (messages came on {', '.join(heard)})" if heard else ""
-        return f"no valid message came on {', '.join(silent)}{came}; check that the cell's drivers are
-        running"
+        return f"no valid message came on {', '.join(silent)}{came}; check that the cell's drivers run"
     reasons = [descent.reason for descent in listener.descents] + [listener.given_up]
     found = ", ".join(dict.fromkeys(reason for reason in reasons if reason))
     if found:
         return f"the finger was down, but no push was recorded: {found}"
     if not listener.pose.valid:
         return (
-            f"the object was not seen ({listener.pose.reason}); check that the scenario's camera is the cell's,"
-            " and let the object rest for two seconds with the arm out of the camera's view"
+            f"the object was not seen ({listener.pose.reason}); check that the scenario's camera is the"
+            " cell's, and let the object rest for two seconds with the arm out of the camera's view"
         )
     return "the finger never came down beside the object"

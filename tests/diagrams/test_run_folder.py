@@ -194,8 +194,8 @@ def test_a_full_disk_names_the_file_and_says_how_to_go_on(whole, tmp_path, monke
         patch.setattr(recording.os, "fsync", full)
         record.keep(part(whole, 3))
     assert calls
-    for words in ("trials/002.json: the disk is full; make room", "the 2 earlier pushes are kept",
-        "--resume"): assert words in said(told)
+    words = ("trials/002.json: the disk is full; make room", "the 2 earlier pushes are kept", "--resume")
+    assert all(word in said(told) for word in words)
     assert len(resumed(tmp_path)[2].trials) == 2
 
 
