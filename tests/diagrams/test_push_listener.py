@@ -166,7 +166,7 @@ def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_p
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"no log at all, but long enough for a header", "is no LCM log"),
+        (b"no log at all, but long enough for a header", "is not an LCM log"),
         (b"", "holds no push: no valid message came on IIWA_STATUS"),
         (
             Event(0, 1, "CAMERA_DEPTH", b"x" * 50).encode() + b"x" * 60,
