@@ -1,11 +1,11 @@
-"""Which push to try next on an object that is not known yet: Algorithm 2 of Song and Boularias (IROS 2020).
+"""Choice of the next push on an unknown object: Algorithm 2 of Song and Boularias (IROS 2020).
 
 `choose_push` takes one of the candidates of `slipmap.planners.exploration`.
 
-A force is a vector of 3n numbers there, so that two pushes on different cells always differ by the same
-amount. Here `most-different` measures what is meant: how far apart contact points and directions are, in the
-object's frame, a contact point shifted by the object's radius of gyration counting as much as a direction
-turned by 60°.
+In the paper a force is a vector of 3n numbers, so two pushes on different cells always differ by the same
+amount. Here `most-different` measures the intended distance: between contact points and directions in the
+object frame, where shifting the contact point by the object's radius of gyration counts as much as turning
+the direction by 60°.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from slipmap.planners.table_push import TablePush
 if TYPE_CHECKING:
     from slipmap.planners.telling_push import Question
 
-_TOUCH_WAY = 0.004  # m that a tap's finger goes on slowly after it should have touched, as it may be off
+_TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A push that was chosen, and where it meets the object."""
+    """A chosen push, and where it meets the object."""
 
     push: TablePush  # on the table
     contact: FloatArray  # (2,) point of first touch, object frame, m
     direction: FloatArray  # (2,) of the finger's motion, object frame
-    why: str = ""  # it was chosen, where it is to tell models apart; else empty
+    why: str = ""  # reason for the choice if the push is to tell models apart; else empty
 
     def __deepcopy__(self, memo: object) -> Choice:
         return self
@@ -62,21 +62,21 @@ def choose_push(
 ) -> Choice:
     """Choose the next push (Algorithm 2).
 
-    Without past pushes, or without a belief where one is needed, the choice is random.
+    Without past pushes, or without a belief if the strategy needs one, the choice is random.
 
     Args:
         grid: the object.
-        pose: (3,) where it lies, world, m and rad.
+        pose: (3,) of the object, world, m and rad.
         finger_radius: m.
         strategy: one of `STRATEGIES`.
         belief: hypotheses that `most-distinctive` compares.
-        past: pushes that were made.
-        settings: what pushes to learn from are like.
-        tap: whether it is to be a tap; by default as the settings say for the number of past pushes. Where
-            the robot can make none of the taps, a slow push is chosen instead.
-        question: models that the push is to tell apart, which then decides instead of the strategy; such a
-            push is slow, as the finger must stay at the object.
-        allowed: whether the robot can make a push; asked in order of preference until one is found.
+        past: pushes made so far.
+        settings: constraints on the pushes to learn from.
+        tap: whether to make a tap; by default as the settings say for the number of past pushes. If the robot
+            can make none of the taps, a slow push is chosen instead.
+        question: models that the push should tell apart; overrides the strategy. Such a push is slow, because
+            the finger must stay in contact.
+        allowed: whether the robot can make a push; called in order of preference until one is found.
         rng: source of every draw.
 
     Raises:
@@ -114,13 +114,13 @@ def choose_push(
             tap=False, allowed=allowed, rng=rng,
         )  # fmt: skip
     raise NoReachablePush(
-        f"exploration: of {len(contacts)} candidate pushes {len(choices)} keep the object in its region,"
-        " and the robot can make none of these"
+        f"exploration: {len(choices)} of {len(contacts)} candidate pushes keep the object in its region,"
+        " and the robot can make none of them"
     )
 
 
 def _choice(candidate: Candidate, pose: FloatArray, tap_speed: float | None) -> Choice:
-    """The candidate on the table, as a tap where a speed for one is given."""
+    """The candidate as a push on the table; a tap if `tap_speed` is given."""
     begin, end = candidate.way_at(pose, candidate.length)
     creep = 0.0 if tap_speed is None else candidate.approach + min(_TOUCH_WAY, candidate.length / 2)
     push = TablePush(begin, end, tap_speed or candidate.speed, creep)
@@ -128,14 +128,14 @@ def _choice(candidate: Candidate, pose: FloatArray, tap_speed: float | None) -> 
 
 
 def _stays(choice: Choice, grid: CellGrid, pose: FloatArray, settings: PokeSettings) -> bool:
-    """Whether the object's middle ends in the region, or nearer to it than before."""
+    """Whether the object's centroid ends in the region, or nearer to it than before."""
     middle = pose[:2] + turn(pose[2]) @ grid.centers.mean(axis=0) - np.asarray(settings.center)
     after = middle + choice.push.direction * (choice.push.length - settings.approach)
     return bool(np.hypot(*after) < max(settings.region, np.hypot(*middle)))
 
 
 def _differences(choices: Sequence[Choice], past: Sequence[Choice], grid: CellGrid) -> FloatArray:
-    """(S,) distance of each candidate from the past push that is nearest to it (Algorithm 2, line 6)."""
+    """(S,) distance of each candidate from the nearest past push (Algorithm 2, line 6)."""
     gyration = radius_of_gyration(grid)
 
     def features(many: Sequence[Choice]) -> FloatArray:
@@ -146,9 +146,10 @@ def _differences(choices: Sequence[Choice], past: Sequence[Choice], grid: CellGr
 
 
 def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) -> FloatArray:
-    """(S,) mean distance (ADD) between where two hypotheses expect the object after a push, lines 9 to 19.
+    """(S,) mean distance (ADD) between the poses that pairs of hypotheses predict for each push, lines 9 to
+    19.
 
-    Pairs are weighed by their probabilities: what an unlikely hypothesis expects should not decide.
+    Pairs are weighted by their probabilities, so that unlikely hypotheses do not decide.
     """
     pushes = [_imagined(choice.push, pose) for choice in choices]
     try:
@@ -158,12 +159,12 @@ def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) 
     ends = rollouts.end[..., :3].transpose(1, 0, 2)
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)
-    # What tips over the table's rim teaches nothing.
+    # A push that tips the object over the table's rim teaches nothing.
     return np.where(rollouts.tipped.any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
 
 
 def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:
-    """A push to be simulated, looked at as fits look at one; `order` is its place in the experiment."""
+    """A push to simulate, sampled as in a fit; `order` is its place in the experiment."""
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     h = min(LONGEST_STEP, LONGEST_STRIDE / push.speed)
     times = h * np.arange(np.ceil((pace.duration + AFTERWARDS) / h) + 1)

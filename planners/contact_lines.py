@@ -1,6 +1,7 @@
-"""Where and in which direction a finger may push: Algorithm 3, lines 8 to 10, and its first candidate.
+"""Contact points and directions in which a finger may push: Algorithm 3, lines 8 to 10, and its first
+candidate.
 
-A line of push is named by two numbers, which makes neighbours easy to find: the place of the contact along
+Two numbers identify a line of push, which makes neighbours easy to find: the arc length of the contact along
 the outer contour, and the angle between the push and the inward normal there.
 """
 
@@ -16,12 +17,12 @@ from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.exploration import DESCENT, TOUCH, NoReachablePush
 
-_TRIES = 20  # draws of as many lines as are wanted, before fewer are taken
+_TRIES = 20  # rounds of drawing the wanted number of lines before fewer are accepted
 
 
 @dataclass(frozen=True, eq=False)
 class ContactLines:
-    """C lines along which a round finger can push, all free until they touch; object frame."""
+    """C lines along which a round finger can push, all clear until first touch; object frame."""
 
     places: FloatArray  # (C,) arc length along the exterior, m
     angles: FloatArray  # (C,) from the inward normal to the direction, counter-clockwise, rad
@@ -32,11 +33,11 @@ class ContactLines:
         return len(self.places)
 
     def chosen(self, which: slice | np.ndarray) -> ContactLines:
-        """Some of them."""
+        """A subset of them."""
         return ContactLines(*(values[which] for values in vars(self).values()))
 
     def joined(self, others: ContactLines) -> ContactLines:
-        """These, then others."""
+        """These, followed by others."""
         pairs = zip(vars(self).values(), vars(others).values(), strict=True)
         return ContactLines(*(np.concatenate(pair) for pair in pairs))
 
@@ -47,7 +48,7 @@ class ContactContour:
     Args:
         grid: the object.
         finger_radius: m.
-        approach: way that must be free before the first touch, m.
+        approach: length that must be clear before first touch, m.
     """
 
     def __init__(self, grid: CellGrid, finger_radius: float, approach: float) -> None:
@@ -65,7 +66,7 @@ class ContactContour:
         """(c,) arc lengths of the contact points of the contour's cells, m."""
 
     def lines(self, places: FloatArray, angles: FloatArray) -> ContactLines:
-        """Those of the lines (C,) at arc lengths and angles that the finger can take."""
+        """The lines, out of those at C arc lengths and angles, that the finger can follow."""
         places = np.mod(places, self._ends[-1])
         edge = np.minimum(np.searchsorted(self._ends, places, side="right"), len(self._ends) - 1)
         back = (self._ends[edge] - places)[:, None]
@@ -81,16 +82,16 @@ class ContactContour:
         return ContactLines(places, angles, touches, directions).chosen(free)
 
     def nearest_to_axis(self, center: FloatArray, ways: FloatArray) -> FloatArray:
-        """The rule of the expected centre of mass: contacts most in line with the way it is to go.
+        """Contacts most in line with the required motion of the expected centre of mass.
 
         i = argmax cos(x̂ - x_target, p^i - x̂) over the cells of the contour (section V.D of the paper).
 
         Args:
             center: (2,) expected centre of mass x̂, object frame, m.
-            ways: (G, 2) from it to where it is wanted, x_target - x̂, object frame, m.
+            ways: (G, 2) its required displacements, x_target - x̂, object frame, m.
 
         Returns:
-            (G',) arc lengths, each once, m; a target with the centre of mass already in place has none.
+            (G',) distinct arc lengths, m; none for a target at which the centre of mass already is.
         """
         wanted = ways[np.linalg.norm(ways, axis=1) > 1e-6]
         spokes = self._cells - center
@@ -98,10 +99,10 @@ class ContactContour:
         return self.cell_places[np.unique(np.argmax(-wanted @ spokes.T, axis=1))]
 
     def spread(self, first: FloatArray, count: int, cone: float, rng: np.random.Generator) -> ContactLines:
-        """Candidates all around: `first`, then cells of the contour, half of all along their normals.
+        """Candidates all around the contour: `first`, then random ones; half of all are along the normals.
 
         Args:
-            first: (f,) arc lengths that come before all others, m.
+            first: (f,) arc lengths to put before all others, m.
             count: wanted number of lines.
             cone: largest angle from the inward normal, rad.
             rng: source of every draw.
@@ -137,11 +138,11 @@ class ContactContour:
         """Perturbed contact points and directions around some of the lines; may be none.
 
         Args:
-            lines: that were tried.
-            chosen: (m,) which of them to vary, in turn.
+            lines: tried so far.
+            chosen: (m,) indices of those to vary, in turn.
             count: wanted number of lines.
-            shift: one standard deviation along the contour, m.
-            tilt: the same of the angle, rad.
+            shift: standard deviation along the contour, m.
+            tilt: standard deviation of the angle, rad.
             cone: largest angle from the inward normal, rad.
             rng: source of every draw.
         """
@@ -152,5 +153,5 @@ class ContactContour:
 
 
 def ways_of_center(center: FloatArray, targets: FloatArray) -> FloatArray:
-    """(G, 2) way of a point (2,) of the object to its place in targets (G, 3), all in the object frame, m."""
+    """(G, 2) displacement of a point (2,) of the object to its place in targets (G, 3), object frame, m."""
     return compose(targets, np.append(center, 0.0))[:, :2] - center

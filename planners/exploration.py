@@ -1,4 +1,4 @@
-"""Pushes worth trying on an object of which nothing is known: Algorithm 2, line 1."""
+"""Candidate pushes on an unknown object: Algorithm 2, line 1."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
 DESCENT = 0.008
-"""Room around the finger where it comes down, m: as far off as object and finger can be together."""
+"""Clearance around the finger where it comes down, m: the largest combined error of object and finger."""
 
 TOUCH = 1e-9
-"""A path that comes nearer than the finger's radius less this touches, m."""
+"""A path closer to the object than the finger's radius less this counts as touching, m."""
 
-_TRIES = 20  # directions that are drawn for a cell
+_TRIES = 20  # directions drawn per cell
 
 
 class NoReachablePush(ValueError):
-    """No direction was found in which the finger reaches the contour without touching the object before."""
+    """No direction was found in which the finger reaches the contour without touching the object earlier."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,31 +31,32 @@ class Candidate:
     """A straight push of a round finger against one cell of the contour."""
 
     cell: int  # the cell
-    contact: FloatArray  # (2,) point of the outline that is touched first, object frame, m
+    contact: FloatArray  # (2,) first point of the outline to be touched, object frame, m
     direction: FloatArray  # (2,) unit vector of the finger's motion, object frame
     touch: FloatArray  # (2,) finger centre at first touch, object frame, m
-    approach: float  # way of the finger before it touches, m
-    length: float  # way of the finger from first touch to its stop, m
+    approach: float  # distance that the finger travels before first touch, m
+    length: float  # distance that the finger travels from first touch to its stop, m
     speed: float  # of the finger between speeding up and slowing down, m/s
 
     def way_at(self, pose: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-        """Finger centre (2,) before and at the end of a push of some length (m), world, m.
+        """Finger centre (2,) at the start and at the end of a push, world, m.
 
         Args:
-            pose: (3,) of the object before, world, m and rad.
-            length: way of the finger after first touch, m.
+            pose: (3,) of the object before the push, world, m and rad.
+            length: distance that the finger travels after first touch, m.
         """
         rotation = turn(pose[2])
         begin = pose[:2] + rotation @ (self.touch - self.approach * self.direction)
         return begin, pose[:2] + rotation @ (self.touch + length * self.direction)
 
     def push(self, pose: ArrayLike, *, h: float = 1e-3, ramp: float = 0.1, rest: float = 0.2) -> Push:
-        """The push that a finger at rest performs on the object at `pose`.
+        """The push on an object at `pose`, with the finger at rest before and after.
 
-        The finger waits for `rest`, speeds up and slows down evenly over `ramp` each, and waits again.
+        The finger waits for `rest`, speeds up at a constant rate over `ramp`, slows down likewise, and waits
+        again.
 
         Args:
-            pose: (3,) of the object before, world, m and rad.
+            pose: (3,) of the object before the push, world, m and rad.
             h: step, s.
             ramp: s.
             rest: s.
@@ -85,24 +86,23 @@ def candidate_pushes(
 ) -> list[Candidate]:
     """Random pushes on random contact points of the contour (Algorithm 2, line 1).
 
-    Cells of the contour come in random order, and none a second time before every other has had its turn.
-    A cell that no drawn direction reaches is passed over. Where the finger comes down it has room all round,
-    `DESCENT` or as much as the way before the touch allows: a prong beside it may be millimetres away from
-    where it is believed to be.
+    Contour cells come in random order; none comes twice before each has had its turn. Cells that no drawn
+    direction reaches are skipped. Where the finger comes down it has clearance all round: `DESCENT`, or as
+    much as the approach allows, because the object may be millimetres away from its estimated place.
 
     Args:
         grid: the object.
         finger_radius: m.
         rng: source of every draw.
         count: number of pushes.
-        length: least and largest way after first touch, m.
-        speed: least and largest speed of the finger, m/s.
+        length: smallest and largest distance after first touch, m.
+        speed: smallest and largest speed of the finger, m/s.
         cone: largest angle between direction and inward normal, rad.
-        approach: way before first touch, m.
+        approach: distance before first touch, m.
 
     Raises:
         ValueError: a number out of range; the message names it.
-        NoReachablePush: the finger fits nowhere, for instance because it is too thick.
+        NoReachablePush: the finger fits nowhere, for example because it is too thick.
 
     Example:
         >>> import numpy as np
@@ -140,7 +140,7 @@ def _aimed(
     cone: float,
     approach: float,
 ) -> FloatArray | None:
-    """A random direction about `inward` in which a disc meets the object at `touch` and not before."""
+    """A random direction near `inward` in which a disc first meets the object at `touch`."""
     room = min(DESCENT, approach * np.cos(cone)) - TOUCH
     for angle in rng.uniform(-cone, cone, _TRIES):
         direction = rotated(inward, angle)

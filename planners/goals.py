@@ -1,6 +1,6 @@
-"""Goals at the table's edge: poses where the object stays, and sticks out so that the gripper can take it.
+"""Goals at the table's edge: poses where the object stays and overhangs far enough to be grasped.
 
-Algorithm 4 of Song and Boularias (2020) samples them in its lines 11 to 13; here `Graspable.sample_goals`.
+`Graspable.sample_goals` implements lines 11 to 13 of Algorithm 4 of Song and Boularias (2020).
 """
 
 from __future__ import annotations
@@ -27,24 +27,23 @@ class Goal:
     """A pose at the edge with a grasp."""
 
     pose: FloatArray  # (3,) of the object, world, m and rad
-    grasp: Grasp  # the best there
+    grasp: Grasp  # the best one there
     fall_probability: float  # of hypotheses whose balance margin there is below the settings' margin
     margin: float  # balance margin that the object has with probability 1 - epsilon, m
-    room: float  # about how much farther over the table the object could lie and still be grasped so, m
-    # by which goals are ranked, larger is better: the grasp's value (`GraspLines.ranked`) and the margin, up
-    # to 20 mm, together
+    room: float  # approximate distance that the object could lie farther in and still be grasped this way, m
+    # ranks goals, larger is better: the grasp's value (`GraspLines.ranked`) plus the margin, up to 20 mm
     value: float
 
 
 @dataclass(frozen=True, eq=False)
 class Graspable:
-    """An object as planning the grasp knows it, with its grasps; made by `of`, once for a belief."""
+    """An object with its grasps, for planning; made by `of`, once per belief."""
 
     grid: CellGrid  # cells and outline
     centers_of_mass: FloatArray  # (K, 2) of the hypotheses, object frame, m
     probability: FloatArray  # (K,) of the hypotheses
     lines: GraspLines  # all its grasps
-    settings: GoalSettings  # what goals must be like
+    settings: GoalSettings  # requirements on goals
 
     @staticmethod
     def of(
@@ -63,12 +62,12 @@ class Graspable:
             heights: (n,) of the object's top over each cell, m.
             centers_of_mass: (K, 2) of the hypotheses, object frame, m.
             probability: (K,) of the hypotheses; those of probability 0 do not count.
-            settings: what goals must be like.
-            masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` where None.
-            gripper: the robot's own where None.
+            settings: requirements on goals.
+            masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` if None.
+            gripper: the robot's own if None.
 
         Raises:
-            ValueError: shapes that do not fit, or settings that make no sense.
+            ValueError: shapes that do not match, or invalid settings.
         """
         settings.check()
         centers = np.asarray(centers_of_mass, dtype=float)
@@ -100,10 +99,10 @@ class Graspable:
         )
 
     def goals_at(self, poses: ArrayLike, table: Table) -> list[Goal | None]:
-        """Which of given poses are goals, as a method would choose them in the paper's Figure 5.
+        """Find which of the given poses are goals, as a method would choose them in the paper's Figure 5.
 
-        A pose is a goal where the object falls with a probability of epsilon or less and a grasp passes the
-        check that `GraspLines` states.
+        A pose is a goal if the object falls there with a probability of at most epsilon and a grasp passes
+        the checks listed in `GraspLines`.
 
         Args:
             poses: (P, 3) of the object in the world, m and rad.
@@ -134,7 +133,7 @@ class Graspable:
         return found
 
     def grasps_at(self, pose: ArrayLike, table: Table) -> list[Grasp]:
-        """All grasps at a pose, one on each line, best first; whether the object stays is not asked."""
+        """All grasps at a pose, one on each line, best first; balance is not checked."""
         if len(self.lines.start) == 0:
             return []
         value, _, place = (rows[0] for rows in self.lines.ranked(np.asarray(pose, dtype=float)[None], table))
@@ -146,16 +145,16 @@ class Graspable:
     ) -> list[Goal]:
         """Goals along the whole edge, best first, at most `settings.count`.
 
-        `settings.samples` poses are drawn uniformly along the edge, in orientation, and in how far the object
-        is out; `goals_at` says which of them are goals.
+        `settings.samples` poses are drawn uniformly along the edge, in orientation and in overhang;
+        `goals_at` decides which of them are goals.
 
         Args:
             table: the table.
             rng: of every draw.
-            allowed: whether the robot can serve a goal; asked best first, until there are enough.
+            allowed: whether the robot can serve a goal; called best first, until there are enough.
 
         Returns:
-            Goals; none where the object cannot be left at the edge and grasped.
+            Goals; none if the object cannot be left at the edge and grasped.
         """
         poses = self._poses_at_edge(table, rng)
         goals = [goal for goal in self.goals_at(poses, table) if goal is not None]
@@ -176,7 +175,7 @@ class Graspable:
         return np.take_along_axis(np.take_along_axis(margins, order, axis=1), first[:, None], axis=1)[:, 0]
 
     def _poses_at_edge(self, table: Table, rng: np.random.Generator) -> FloatArray:
-        """(P, 3) poses at which some of the object is out, and its middle, as believed, is not."""
+        """(P, 3) poses at which part of the object overhangs, but not its expected centre of mass."""
         count = self.settings.samples
         rim, outward = _points_of_edge(table, rng.uniform(size=count))
         turn = rng.uniform(-np.pi, np.pi, count)

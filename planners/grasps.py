@@ -1,7 +1,8 @@
-"""Grasps at the table's edge: one pin above, one below the part of the object that sticks out.
+"""Grasps at the table's edge: one pin above, one below the overhanging part of the object.
 
-`grasp_lines` finds all grasps of an object: `GraspLines`, straight lines by which the pins can come. It reads
-the object's height from a `HeightMap`. At a pose, a line is cut short where hand or pin would meet the table.
+`grasp_lines` finds all grasps of an object: `GraspLines`, straight lines along which the pins can approach.
+It reads the object's height from a `HeightMap`. At a pose, a line ends where hand or pin would meet the
+table.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ GRAVITY = 9.81  # m/s²
 PITCH = 2e-3  # m, side of a pixel in a height map
 
 _DIRECTIONS = 48
-_APART = 5e-3  # m, of neighbouring lines
-_STEP = 2.5e-3  # m, of the pins' ends along a line
+_APART = 5e-3  # m between neighbouring lines
+_STEP = 2.5e-3  # m between positions of the pins' ends along a line
 _BESIDE = 5e-3  # m from the pins' axes to the outline beside them: a pin slips off a rounded edge
 _ENOUGH = 0.02  # m, of room; more is not better
 _AT_ONCE = 32  # poses
@@ -55,25 +56,25 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A horizontal grasp from outside the table, the pins closing vertically, fully open until then.
+    """A horizontal grasp from outside the table; the pins close vertically and are fully open until then.
 
-    The hand comes on a straight line along `approach`, at half the height of the object's top, and stops with
-    the pins' ends at `tip`. `GraspLines` states what is checked.
+    The hand approaches in a straight line along `approach`, at half the height of the object's top, and stops
+    with the pins' ends at `tip`. `GraspLines` lists the checks.
     """
 
     # (2,) middle of the line along which the lower pin supports the object, object frame, m
     patch: FloatArray
-    approach: float  # direction in which the hand comes, from x of the object frame, rad
+    approach: float  # direction of the hand's motion, from x of the object frame, rad
     opening: float  # distance between the axes of the pins until they close, m
-    tip: FloatArray  # (2,) where the pins end, object frame, m
+    tip: FloatArray  # (2,) ends of the pins, object frame, m
     height: float  # of the object's top between the pins, m
-    # between the inner end of the lower contact and the outer end of the upper one, m: the arm at which two
-    # opposed forces carry the weight
+    # from the inner end of the lower contact to the outer end of the upper one, m: the lever arm of the two
+    # opposed forces that carry the weight
     length: float
-    force: float  # of the lower pin, by which the object stays level with probability 1 - epsilon, N
+    force: float  # of the lower pin that keeps the object level with probability 1 - epsilon, N
 
     def at(self, pose: FloatArray) -> FloatArray:
-        """(4,) x, y, z (m) of the point half-way between the pins' ends and the approach's yaw (rad), world.
+        """(4,) x, y, z (m) of the midpoint between the pins' ends and yaw (rad) of the approach, world.
 
         Args:
             pose: (3,) of the object in the world, m and rad; the table's top is at z = 0.
@@ -84,13 +85,13 @@ class Grasp:
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Least and largest height at points of the object frame; 0 outside the outline.
+    """Smallest and largest possible height at points of the object frame; 0 outside the outline.
 
-    A height is known where neighbouring cells are equally high; between others it may be any between theirs.
+    A height is known where neighbouring cells are equally high; elsewhere it may be any between theirs.
     """
 
     corner: FloatArray  # (2,) the raster's first point, m; its rows go along y, its columns along x
-    lowest: Raster  # least height, m
+    lowest: Raster  # smallest height, m
     highest: Raster  # largest height, m
 
     @staticmethod
@@ -102,7 +103,7 @@ class HeightMap:
             heights: (n,) m, positive.
 
         Raises:
-            ValueError: not one height for each cell, or one that is not positive.
+            ValueError: the number of heights differs from that of the cells, or a height is not positive.
         """
         heights = np.asarray(heights, dtype=float)
         if heights.shape != (len(grid),):
@@ -120,7 +121,7 @@ class HeightMap:
         return HeightMap(np.array([x0, y0]), lowest, highest)
 
     def highest_within(self, distance: float) -> Raster:
-        """Largest height within a distance (m) of each point; a larger raster, as `sampled` takes it."""
+        """Largest height within a distance (m) of each point, as a larger raster for `sampled`."""
         reach = int(np.ceil(distance / PITCH))
         offset = np.arange(-reach, reach + 1) * PITCH
         disc = (np.hypot(*np.meshgrid(offset, offset)) <= distance + PITCH / 2).astype(np.uint8)
@@ -128,7 +129,7 @@ class HeightMap:
         return np.asarray(cv2.dilate(padded, disc), dtype=np.float32)
 
     def sampled(self, raster: Raster, points: FloatArray) -> Raster:
-        """Values (...) of one of this map's rasters at points (..., 2); 0 beyond it.
+        """Values (...) of one of this map's rasters at points (..., 2); 0 outside it.
 
         Args:
             raster: `lowest`, `highest` or one of `highest_within`, centred on the same points.
@@ -143,7 +144,7 @@ class HeightMap:
 
 
 def _between_cells(grid: CellGrid, heights: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and largest height of the cells around each point, mostly four, at the rim fewer."""
+    """Smallest and largest height of the cells around each point: usually four, fewer at the rim."""
     tree = cKDTree(grid.centers)
     _, around = tree.query(points, k=9, p=np.inf, distance_upper_bound=0.999 * grid.width)
     nearest = heights[tree.query(points)[1]]
@@ -156,35 +157,35 @@ def _between_cells(grid: CellGrid, heights: FloatArray, points: FloatArray) -> t
 class GraspLines:
     """L lines over the object frame, each with S places for the pins' ends, `_STEP` apart.
 
-    What is checked of a grasp, in the object frame:
+    Checks of a grasp in the object frame:
 
-    - The open pins have `clearance` above everything that they pass on their way in, and below it.
-    - The hand, swept along the line, stays off the outline by `clearance`, whatever the height there.
-    - The middle of the lower pin lies under the outline over `least_contact` or more. There and where the
-      upper pin holds, the outline reaches 5 mm farther to either side.
-    - The upper pin comes down on heights that are known: between cells of different height they may be any
-      between these. `least_contact` or more lies between the outermost place that is certainly as high as
-      all the pin passes (less `tolerance`) and the inner end of the lower contact.
-    - In hypotheses of probability 1 - epsilon or more a force at either end carries the moment of the weight
-      about the pins' cross axis, friction that about their own axis, and the lower pin the weight beside:
-      together no more than the gripper's force. So the object stays level. Both moments are added as if they
-      asked for the same force.
+    - The open pins keep `clearance` above and below everything that they pass on their way in.
+    - The hand, swept along the line, keeps `clearance` from the outline, whatever the height there.
+    - The axis of the lower pin lies under the outline over at least `least_contact`. There, and where the
+      upper pin holds, the outline extends 5 mm farther to either side.
+    - The upper pin comes down on known heights: between cells of different height the object may have any
+      height between theirs. At least `least_contact` lies between the outermost place that is certainly as
+      high as everything that the pin passes (less `tolerance`) and the inner end of the lower contact.
+    - The object stays level in hypotheses of total probability 1 - epsilon or more: a force at either end
+      carries the moment of the weight about the cross axis of the pins, friction the moment about their own
+      axis, and the lower pin also the weight, all together within the gripper's force. Both moments are added
+      as if they needed the same force.
 
-    and at a pose (`reach`): lower pin and hand, swept along the line, stay off the table by `clearance`.
+    At a pose (`reach`), the lower pin and the hand, swept along the line, keep `clearance` from the table.
     """
 
     direction: FloatArray  # (L, 2) in which the hand moves
     offset: FloatArray  # (L,) of the line to the left of the origin, m
     start: FloatArray  # (L,) coordinate along the line of the first place, where the outline begins, m
-    force: FloatArray  # (L, S) that the grasp needs, N; inf where the grasp fails the check
-    height: FloatArray  # (L, S) of what the pins pass, m
+    force: FloatArray  # (L, S) that the grasp needs, N; inf where the grasp fails a check
+    height: FloatArray  # (L, S) largest that the pins pass, m
     lower: FloatArray  # (L, S) inner end of the lower contact, coordinate along the line, m
     upper: FloatArray  # (L, S) outer end of the upper contact, likewise
     gripper: Gripper  # whose grasps they are
     clearance: float  # m
 
     def reach(self, poses: FloatArray, table: Table) -> FloatArray:
-        """(P, L) farthest coordinate of the pins' ends at which the table is clear of pins and hand, m.
+        """(P, L) farthest coordinate of the pins' ends at which pins and hand clear the table, m.
 
         Args:
             poses: (P, 3) of the object in the world.
@@ -200,9 +201,9 @@ class GraspLines:
     def ranked(self, poses: FloatArray, table: Table) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
         """The best grasp on each line at each pose.
 
-        Best is the place that needs the least force. Lines compare by their value: room, up to 20 mm, less
-        20 mm times the share of the gripper's force that is needed. Room is about how much farther over the
-        table the object could lie with some grasp on the line left.
+        The best place needs the least force. Lines are compared by their value: room, up to 20 mm, less 20 mm
+        times the share of the gripper's force that is needed. Room is approximately how much farther over the
+        table the object could lie and still leave a grasp on the line.
 
         Args:
             poses: (P, 3) of the object in the world.
@@ -230,9 +231,9 @@ class GraspLines:
     def best(
         self, poses: FloatArray, table: Table
     ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-        """The line of the largest value at each pose: value (P,), room (P,), line (P,) and place (P,).
+        """The line with the largest value at each pose: value (P,), room (P,), line (P,) and place (P,).
 
-        As `ranked`, which it asks for few poses at a time, so that they fit into the processor's cache.
+        It calls `ranked` for a few poses at a time, so that they fit into the processor's cache.
         """
         parts = []
         for begin in range(0, len(poses), _AT_ONCE):
@@ -268,7 +269,7 @@ def grasp_lines(
     settings: GoalSettings,
     gripper: Gripper,
 ) -> GraspLines:
-    """Grasps from 48 directions on lines 5 mm apart; `GraspLines` says what is checked.
+    """Grasps from 48 directions on lines 5 mm apart; `GraspLines` lists the checks.
 
     Args:
         grid: cells and outline.
@@ -276,11 +277,11 @@ def grasp_lines(
         centers_of_mass: (K, 2) of the hypotheses, object frame, m.
         masses: (K,) of the whole object, kg.
         probability: (K,) of the hypotheses.
-        settings: see there.
-        gripper: see there.
+        settings: see `GoalSettings`.
+        gripper: see `Gripper`.
 
     Returns:
-        Lines on which some grasp passes the check; perhaps none.
+        Lines on which some grasp passes the checks; perhaps none.
     """
     field = HeightMap.of(grid, heights)
     hand = field.highest_within(gripper.hand_radius + settings.clearance)
@@ -344,7 +345,7 @@ def _all_lines(grid: CellGrid, hand_margin: float) -> tuple[FloatArray, FloatArr
 
 
 def _outer_contact(heights: FloatArray, along: FloatArray, wanted: FloatArray) -> FloatArray:
-    """(L, S) coordinate of the first place as high as wanted (L, S) for this end; inf where none is."""
+    """(L, S) coordinate of the first place as high as `wanted` (L, S), up to each tip; inf if none is."""
     rising = np.maximum.accumulate(heights, axis=1)
     first = np.zeros(wanted.shape, dtype=np.intp)
     for column in rising.T:
@@ -366,10 +367,11 @@ def _needed_force(
     probability: FloatArray,
     settings: GoalSettings,
 ) -> FloatArray:
-    """(L, S) force of the lower pin, N, that is enough in hypotheses of probability 1 - epsilon or more.
+    """(L, S) force of the lower pin, N, that suffices in hypotheses of total probability 1 - epsilon or more.
 
-    A weight W at a lever l beyond the contact's inner end is held by W l / arm at its outer end from above;
-    one at a distance d beside the line by friction at both pins, W d = friction · force · height.
+    A weight W at a lever l beyond the contact's inner end is held by a force W l / arm from above at the
+    outer end; a weight at a distance d beside the line by friction at both pins, W d = friction · force ·
+    height.
     """
     normal = _left_of(direction)
     needed = np.empty((len(masses), *arm.shape))
@@ -401,18 +403,18 @@ def _left_of(direction: FloatArray) -> FloatArray:
 def first_on_table(
     direction: FloatArray, offset: FloatArray, poses: FloatArray, table: Table, half_width: float
 ) -> FloatArray:
-    """Where strips that come from far away first meet the table's top.
+    """Where strips that extend in from far away first meet the table top.
 
     Args:
-        direction: (L, 2) unit vectors in which they come, object frame.
+        direction: (L, 2) unit vectors of their direction, object frame.
         offset: (L,) of the strips' middle lines to the left of the object's origin, m.
         poses: (P, 3) of the object in the world, m and rad.
         table: round or rectangular.
         half_width: of the strips, m.
 
     Returns:
-        (P, L) coordinate along each line, from the point nearest to the object's origin, m; inf where it
-        passes by.
+        (P, L) coordinate along each line, from the point nearest to the object's origin, m; inf where the
+        strip misses the table.
     """
     corners = corners_of(table)
     if len(corners) > 0:
@@ -427,7 +429,7 @@ def first_on_table(
 def towards_table(
     direction: FloatArray, offset: FloatArray, at: FloatArray, poses: FloatArray, table: Table
 ) -> FloatArray:
-    """Cosine between lines and the shortest way from one point of each, outside the table, to the table.
+    """Cosine between each line and the shortest path to the table from a point on it, outside the table.
 
     Args:
         direction: (L, 2) unit vectors along the lines, object frame.
@@ -462,7 +464,7 @@ def _on_lines(
 
 
 def _first_in_strip(along: FloatArray, left: FloatArray, half_width: float) -> FloatArray:
-    """Least coordinate of a polygon (..., c) within |left| <= half_width; inf where it is beside."""
+    """Smallest coordinate of a polygon (..., c) within |left| <= half_width; inf if it lies outside."""
     next_along, next_left = np.roll(along, -1, axis=-1), np.roll(left, -1, axis=-1)
     found = np.where(np.abs(left) <= half_width, along, np.inf).min(axis=-1)
     for side in (-half_width, half_width):

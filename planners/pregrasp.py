@@ -1,8 +1,8 @@
 """Pre-grasp sliding of an unknown object: Algorithm 4 of Song and Boularias (IROS 2020).
 
-`pregrasp` is the whole procedure in some `World`: `learn_by_pushing` (Algorithms 1 and 2), then
-`bring_to_edge`. The methods that the paper compares (section VI.B) plan in the same way, each with another
-belief, which `planning_belief` makes.
+`pregrasp` runs the whole procedure in a `World`: `learn_by_pushing` (Algorithms 1 and 2), then
+`bring_to_edge`. The methods that the paper compares (section VI.B) plan in the same way, but with different
+beliefs, made by `planning_belief`.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.table_push import TablePush
 
 MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
-"""Puts trials and the object's cells together with what else is known of the place where pushes are made."""
+"""Combines trials and the object's cells into a dataset with everything known about the setup."""
 
 
 def planning_belief(
     method: str, belief: Belief, rng: np.random.Generator, truth: Maps | None = None
 ) -> Belief:
-    """The belief with which a method plans; the planner itself knows nothing of methods.
+    """The belief with which a method plans; the planner itself is the same for all methods.
 
     Args:
         method: one of `METHODS`.
-        belief: what was identified.
+        belief: the identified one.
         rng: source of the draw of `deterministic`.
-        truth: the true maps, one hypothesis; only `true` looks at them.
+        truth: the true maps, one hypothesis; only `true` uses them.
 
     Raises:
         ValueError: an unknown method, or `true` without one true map.
@@ -65,7 +65,7 @@ def planning_belief(
 
 
 def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
-    """One hypothesis that is taken for the truth; what the belief's model was off by is not for it."""
+    """A belief in one hypothesis as the truth, without the model errors learned with the full belief."""
     settings = {**belief.settings, "planning": method}
     settings.pop(END_ERRORS, None)
     return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
@@ -80,18 +80,18 @@ def learn_by_pushing(
     *,
     allowed: Callable[[TablePush], bool] = lambda push: True,
 ) -> tuple[Belief, tuple[Trial, ...]]:
-    """Choose a push, make it, identify; as often as the settings say. The belief comes from all pushes.
+    """Choose a push, make it and identify, as often as the settings say; the belief comes from all pushes.
 
     Args:
         world: where pushes are made.
-        grid: the object as it was seen.
+        grid: the object as seen.
         make_dataset: see `MakeDataset`.
         settings: of the procedure.
         rng: source of every draw.
         allowed: whether the robot can make a push.
 
     Raises:
-        ObjectFell: it is not on the table any more.
+        ObjectFell: the object is no longer on the table.
         PushNotMade: the robot refused `settings.refusals` pushes in a row.
         NoReachablePush: no candidate is allowed.
     """
@@ -115,11 +115,11 @@ def explore(
     learn: Callable[[Sequence[Trial]], Belief],
     allowed: Callable[[TablePush], bool] = lambda push: True,
 ) -> tuple[Trial, ...]:
-    """Choose and make pushes one after the other (Algorithm 2), and record them.
+    """Choose and make pushes one after another (Algorithm 2), and record them.
 
     Args:
-        world, grid, settings, rng, allowed: as of `learn_by_pushing`.
-        learn: the belief after some pushes; asked before each push whose choice depends on it.
+        world, grid, settings, rng, allowed: as for `learn_by_pushing`.
+        learn: computes the belief from pushes; called before each push whose choice depends on it.
 
     Raises:
         ObjectFell, PushNotMade, NoReachablePush: as there.
@@ -152,16 +152,16 @@ def explore(
 
 @dataclass(frozen=True, eq=False)
 class Pregrasp:
-    """How the procedure ended."""
+    """The outcome of the procedure."""
 
-    success: bool  # whether the object lies at a goal, as seen, and can be grasped there
-    reason: str  # in words, of success or failure
-    method: str  # that planned
-    belief: Belief | None  # identified, of all hypotheses; None where the object could not be explored
+    success: bool  # whether the object was seen to lie at a goal and can be grasped there
+    reason: str  # of success or failure, in words
+    method: str  # of planning
+    belief: Belief | None  # identified, with all hypotheses; None if exploration failed
     explorations: tuple[Trial, ...] = ()  # pushes that it was learned from
-    goals: tuple[Goal, ...] = ()  # that there were to choose from
-    goal: Goal | None = None  # the last that was aimed at; None where it did not come to that
-    pose: FloatArray | None = None  # (3,) as seen last, world; None where it did not come to that
+    goals: tuple[Goal, ...] = ()  # that were available
+    goal: Goal | None = None  # the last one aimed at, if any
+    pose: FloatArray | None = None  # (3,) last seen, world, if any
     grasp: Grasp | None = None  # the best at this pose; None without success
     pushes: tuple[MadePush, ...] = ()  # towards the goal
 
@@ -180,7 +180,7 @@ def pregrasp(
 ) -> Pregrasp:
     """Explore an unknown object and bring it to the table's edge, where it can be grasped (Algorithm 4).
 
-    The grasp itself (line 8) is left to the robot: `Pregrasp.grasp` says how.
+    The grasp itself (line 8) is left to the robot; `Pregrasp.grasp` describes it.
 
     Args:
         world: with the object on its table.
@@ -192,13 +192,13 @@ def pregrasp(
         method, allowed, options: of `bring_to_edge`.
 
     Raises:
-        ValueError: settings or arguments that make no sense.
+        ValueError: invalid settings or arguments.
     """
     settings.check()
     try:
         belief, trials = learn_by_pushing(world, grid, make_dataset, settings, rng, allowed=allowed)  # line 4
     except (ObjectFell, PushNotMade, NoReachablePush) as error:
-        return Pregrasp(False, f"while it was explored: {error}", method, None)
+        return Pregrasp(False, f"exploration failed: {error}", method, None)
     ended = bring_to_edge(world, belief, heights, settings, rng, method=method, allowed=allowed, **options)
     return replace(ended, explorations=trials)
 
@@ -215,11 +215,11 @@ def bring_to_edge(
     allowed: Allowed = lambda push: True,
     goal_allowed: Callable[[Goal], bool] = lambda goal: True,
 ) -> Pregrasp:
-    """Lines 5 to 7 of Algorithm 4, for an object that is known already.
+    """Push an object that is already identified to a goal at the edge (Algorithm 4, lines 5 to 7).
 
     Args:
         world: with the object on its table.
-        belief: what was identified.
+        belief: the identified one.
         heights: (n,) of the object's top over the cells, m.
         settings: of the procedure.
         rng: source of every draw.
@@ -229,7 +229,7 @@ def bring_to_edge(
         goal_allowed: whether the robot can grasp at a goal.
 
     Raises:
-        ValueError: settings or arguments that make no sense.
+        ValueError: invalid settings or arguments.
     """
     settings.check()
     known = planning_belief(method, belief, rng, truth)
@@ -237,8 +237,8 @@ def bring_to_edge(
     goals = thing.sample_goals(world.table, rng, goal_allowed)  # line 5
     if not goals:
         reason = (
-            f"of {settings.goals.samples} poses at the edge, in none the object stays with a probability of"
-            f" {1 - settings.goals.epsilon:.0%} and can be grasped"
+            f"at none of {settings.goals.samples} poses at the edge does the object stay with a probability"
+            f" of {1 - settings.goals.epsilon:.0%} and can be grasped"
         )
         return Pregrasp(False, reason, method, belief)
 

@@ -1,9 +1,8 @@
-"""Algorithm 3: pushing an object to one of several goals, as decisions and as a whole.
+"""Algorithm 3: pushing an object to one of several goals, as single decisions and as a whole.
 
-`decide` is one round: from where the object lies and what came of pushing so far to the next push. Each push
-is planned anew among all goals: what was the goal before does not bind. Waypoints count where the straight
-way to the goal is not safe. `push_to_goal` makes round after round in a `World`, a simulation or a robot,
-which does not do exactly what was planned.
+`decide` is one round: from the object's pose and the pushes so far to the next push. Each push is planned
+among all goals, whichever was the goal before. Waypoints matter if the straight path to the goal is not safe.
+`push_to_goal` repeats rounds in a `World`, a simulation or a robot, which does not follow the plan exactly.
 """
 
 from __future__ import annotations
@@ -28,43 +27,43 @@ from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import NoWay, PoseMetric, find_waypoints
 
 _WAYPOINT_REACHED = 0.05  # m; ε of Algorithm 3, line 22: gap of the cells at which a waypoint is passed
-_LANDING, _LANDINGS = 0.007, 32  # m, standard deviation of where an object comes to lie around a goal; draws
-_SAME_PUSH = 0.005  # m; a push whose begin and end are nearer than this counts as the one that was refused
+_LANDING, _LANDINGS = 0.007, 32  # m, standard deviation of final positions around a goal; number of draws
+_SAME_PUSH = 0.005  # m; a push with begin and end nearer than this counts as the refused one
 
 Allowed = Callable[[TablePush], bool]
 
 
 class NoPushLeft(Exception):
-    """Nothing that could be tried brings the object nearer to a goal. The text says what was tried."""
+    """No push can bring the object nearer to a goal. The text says what was tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Where the object is being pushed."""
+    """The path along which the object is being pushed."""
 
     goal: int  # index of the goal
-    waypoints: FloatArray  # (n, 3) that are left, the goal last, world
+    waypoints: FloatArray  # (n, 3) remaining ones, the goal last, world
 
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """What came of pushing so far; nothing before the first push."""
+    """The history of pushing; empty before the first push."""
 
-    way: Way | None = None  # that is followed; None at first
-    served: tuple[int, ...] = ()  # goal, by its index, of every push that was made
-    refused: tuple[TablePush, ...] = ()  # pushes that the robot refused since the last that was made
+    way: Way | None = None  # followed now; None at first
+    served: tuple[int, ...] = ()  # index of the goal of every push made
+    refused: tuple[TablePush, ...] = ()  # pushes that the robot refused since the last one made
     refusal: str = ""  # why it refused the last of these
 
     def made(self, way: Way) -> Pursuit:
-        """After one more push on a way was made."""
+        """The history with one more push made."""
         return Pursuit(way, (*self.served, way.goal))
 
     def not_made(self, way: Way, push: TablePush, refusal: str) -> Pursuit:
-        """After the robot refused one."""
+        """The history with one more push refused by the robot."""
         return replace(self, way=way, refused=(*self.refused, push), refusal=refusal)
 
     def left_out(self, patience: int) -> set[int]:
-        """Goals that were served by so many pushes."""
+        """Goals that at least `patience` pushes have served."""
         return {goal for goal, count in Counter(self.served).items() if count >= patience}
 
 
@@ -72,8 +71,8 @@ class Pursuit:
 class Decision:
     """What to do next."""
 
-    planned: PlannedPush | None  # the next push; None where pushing ends
-    way: Way | None  # that it follows; None where there never was one
+    planned: PlannedPush | None  # the next push; None if pushing ends
+    way: Way | None  # that it follows; None if there never was one
     reached: bool = False  # whether pushing ends because the object lies within the tolerances of a goal
     reason: str = ""  # why it ends, in words
 
@@ -90,27 +89,27 @@ def decide(
     allowed: Allowed = lambda push: True,
     good: Callable[[FloatArray], bool] = lambda pose: True,
 ) -> Decision:
-    """One round of Algorithm 3: the next push, or that the object lies at a goal, or why there is no push.
+    """One round of Algorithm 3: the next push, or that a goal is reached, or why there is no push.
 
     Args:
         belief: hypotheses, one or many.
         pose: (3,) of the object now, world.
-        goals: that will do.
-        pursuit: what came of pushing so far.
+        goals: acceptable goals.
+        pursuit: history of pushing.
         table: its top.
         settings: of the procedure.
         rng: source of every draw.
         allowed: whether the robot can make a push.
-        good: whether a pose (3,) within the tolerances will do.
+        good: whether a pose (3,) within the tolerances is acceptable.
 
     Raises:
         ValueError: there is no goal.
     """
     way, count = pursuit.way, len(pursuit.served)
     if way and count and near_enough(pose, goals[way.goal].pose, settings.push) and good(pose):
-        return Decision(None, way, True, f"the goal was reached with {count} pushes")
+        return Decision(None, way, True, f"the goal was reached in {count} pushes")
     if count == settings.pushes:
-        return Decision(None, way, reason=f"no goal was reached with {count} pushes")
+        return Decision(None, way, reason=f"no goal was reached in {count} pushes")
     refused = pursuit.refused
     if len(refused) == settings.refusals:
         reason = f"{len(refused)} pushes in a row were refused, the last because {pursuit.refusal}"
@@ -144,13 +143,13 @@ def next_push(
     """The next push towards a goal, and the way that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
-        belief, pose, goals, table, settings, rng, allowed: as of `decide`.
-        way: that was followed so far; None at first.
-        left_out: indices of goals that are given up.
+        belief, pose, goals, table, settings, rng, allowed: as for `decide`.
+        way: followed so far; None at first.
+        left_out: indices of goals that were given up.
 
     Raises:
         ValueError: there is no goal.
-        NoPushLeft: every goal is given up or cannot be reached safely.
+        NoPushLeft: every goal was given up or cannot be reached safely.
         NoReachablePush: no candidate is allowed.
     """
     if not goals:
@@ -184,7 +183,7 @@ def next_push(
 
 
 def near_enough(pose: FloatArray, goal: FloatArray, settings: PushSettings) -> bool:
-    """Whether a pose (3,) lies within the tolerances of place and angle around a goal (3,)."""
+    """Whether a pose (3,) lies within the tolerances of position and angle around a goal (3,)."""
     distance = np.hypot(*(pose[:2] - goal[:2]))
     angle = abs(angle_between(pose[2], goal[2]))
     return bool(distance <= settings.tolerance and angle <= np.radians(settings.tolerance_angle))
@@ -193,7 +192,7 @@ def near_enough(pose: FloatArray, goal: FloatArray, settings: PushSettings) -> b
 def goal_costs(
     belief: Belief, poses: FloatArray, table: Table, settings: PushSettings, rng: np.random.Generator
 ) -> FloatArray:
-    """(G,) price of goals (G, 3) in pushes: the risk of falling there if the object lands a little off."""
+    """(G,) cost of goals (G, 3) in pushes: the risk of falling if the object lands slightly off the goal."""
     off = rng.standard_normal((_LANDINGS, 3)) * [
         _LANDING,
         _LANDING,
@@ -206,7 +205,7 @@ def goal_costs(
 
 
 def _not_yet_passed(waypoints: FloatArray, pose: FloatArray, metric: PoseMetric) -> FloatArray:
-    """Waypoints without those that are reached, and those before them; the goal always stays."""
+    """Waypoints after the last one reached; the goal always stays."""
     reached = np.flatnonzero(metric.gap(pose, waypoints[:-1]) <= _WAYPOINT_REACHED)
     return waypoints[reached[-1] + 1 :] if len(reached) else waypoints
 
@@ -220,7 +219,7 @@ def _towards_nearest(
     rng: np.random.Generator,
     allowed: Allowed,
 ) -> tuple[PlannedPush, Way]:
-    """A push to the nearest waypoint (line 4); the goal has to wait until all others are passed."""
+    """A push to the nearest waypoint (line 4); the goal comes only after all others are passed."""
     nearest = int(np.argmin(PoseMetric(belief.grid).gap(pose, way.waypoints[:-1])))
     left = way.waypoints[nearest:]
     return plan_push(belief, pose, left[0], table, settings.push, rng, allowed), Way(way.goal, left)
@@ -232,7 +231,7 @@ def _same_push(one: TablePush, other: TablePush) -> bool:
 
 
 class ObjectFell(Exception):
-    """The object is not on the table any more. The text says where it was seen last."""
+    """The object is no longer on the table. The text says where it was last seen."""
 
 
 class PushNotMade(Exception):
@@ -251,7 +250,7 @@ class World(Protocol):
     finger_radius: float
 
     def look(self) -> FloatArray:
-        """(3,) pose of the object as it is seen now, world, m and rad.
+        """(3,) pose of the object as seen now, world, m and rad.
 
         Raises:
             ObjectFell: it is not on the table.
@@ -259,7 +258,7 @@ class World(Protocol):
         ...
 
     def push(self, push: TablePush) -> Trial:
-        """Make a push and return what was recorded; an object that falls is noticed by the next look.
+        """Make a push and return its recording; a fall of the object shows only at the next look.
 
         Raises:
             PushNotMade: the robot refuses.
@@ -269,23 +268,23 @@ class World(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MadePush:
-    """A push towards a goal, and what was recorded of it."""
+    """A push towards a goal, and its recording."""
 
-    before: FloatArray  # (3,) pose as seen before, world
+    before: FloatArray  # (3,) pose seen before it, world
     goal: Goal  # that it served
     planned: PlannedPush  # push and prediction
-    trial: Trial  # what was recorded
+    trial: Trial  # its recording
 
 
 @dataclass(frozen=True, eq=False)
 class Pushing:
-    """How pushing to a goal ended."""
+    """The outcome of pushing to a goal."""
 
-    reached: bool  # whether the object lies within the tolerances of `goal`, as seen
-    goal: Goal | None  # the last that was aimed at; None where there was no push
-    pose: FloatArray  # (3,) as seen last, world
-    pushes: tuple[MadePush, ...]  # that were made
-    reason: str  # in words
+    reached: bool  # whether the object was seen within the tolerances of `goal`
+    goal: Goal | None  # the last one aimed at; None if there was no push
+    pose: FloatArray  # (3,) last seen, world
+    pushes: tuple[MadePush, ...]  # all that were made
+    reason: str  # why pushing ended, in words
 
 
 def push_to_goal(
@@ -300,14 +299,14 @@ def push_to_goal(
 ) -> Pushing:
     """Push the object to one of the goals (Algorithm 3).
 
-    Ends when the object lies within the tolerances of the goal last aimed at; or it fell; or the budget of
-    pushes is spent; or no push is left, because goals are left out after `settings.patience` pushes, pushes
-    that the robot refused are not asked for again, and too many refusals in a row end it too.
+    Pushing ends when the object lies within the tolerances of the last goal aimed at, when it has fallen,
+    when the budget of pushes is spent, after too many refusals in a row, or when no push is left: goals are
+    given up after `settings.patience` pushes, and pushes that the robot refused are not requested again.
 
     Args:
         world: where pushes are made.
         goals: at least one, best first.
-        belief, settings, rng, allowed, good: as of `decide`.
+        belief, settings, rng, allowed, good: as for `decide`.
 
     Raises:
         ValueError: there is no goal.

@@ -1,7 +1,7 @@
-"""Pushes that are only imagined: what rival models predict for them, and how far the predictions are apart.
+"""Simulated pushes: what rival models predict for them, and how far apart the predictions are.
 
-Apart means in standard deviations of the error model: the whitened distance between two predicted courses of
-poses, and of forces where the dataset has any, as a fit would weigh them.
+Distances are in standard deviations of the error model: the whitened distance between two predicted
+trajectories of poses, and of forces if the dataset has any, weighted as in a fit.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
 RAMP = 0.1
-"""s in which the finger speeds up."""
+"""Time in which the finger speeds up, s."""
 
 AFTERWARDS = 0.4
-"""s that are watched after it has stopped."""
+"""Time observed after it has stopped, s."""
 
-_REST = 0.1  # s that it waits before it starts
+_REST = 0.1  # s for which it waits before it starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Rival:
 
     @classmethod
     def of(cls, fitted: Fitted, name: str | None = None, z: FloatArray | None = None) -> Rival:
-        """A fitted model, at its own coordinates or at others (d,)."""
+        """A fitted model, at its own coordinates or at `z` (d,)."""
         prior = fitted.likelihood.prior
         own = " and ".join(effect.name for effect in fitted.effects) or "no effect"
         return cls(name or own, prior.slider, prior.maps((fitted.z if z is None else z)[None]))
@@ -47,10 +47,10 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """What one model predicts for B pushes; NaN where it cannot be computed, as where the object tips."""
+    """One model's predictions for B pushes; NaN where there is none, for example because the object tips."""
 
     poses: FloatArray  # (B, S, 3) as the tracker reports them
-    forces: FloatArray  # (B, S, 2) of the finger on the object, means over equal stretches of time, world, N
+    forces: FloatArray  # (B, S, 2) of the finger on the object, means over equal intervals, world, N
 
 
 def straight_push(
@@ -63,16 +63,17 @@ def straight_push(
     order: float = 0.0,
     coarseness: float = 1.0,
 ) -> Push:
-    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, one half-way.
+    """A push along a line with a gentle start and an abrupt stop; if `dwell` is positive, also a stop
+    half-way.
 
     Args:
-        pose: (3,) of the object before, world.
-        begin: (2,) finger centre at first, world, m.
-        end: (2,) finger centre at last.
+        pose: (3,) of the object before the push, world.
+        begin: (2,) finger centre at the start, world, m.
+        end: (2,) finger centre at the end.
         speed: m/s.
-        dwell: s that the finger stands still half-way.
+        dwell: duration of the stop half-way, s.
         order: place in the experiment.
-        coarseness: how many times longer than usual steps are.
+        coarseness: factor on the usual time step.
     """
     h = coarseness * min(LONGEST_STEP, LONGEST_STRIDE / speed)
     length = float(np.hypot(*(end - begin)))
@@ -124,8 +125,8 @@ def separations(
         pushes: B pushes.
         error: error model.
         grid: the object.
-        pose_rows: rows of the tracker that an observed pose would be the mean of.
-        force_rows: the same of a force; 0 where none is measured.
+        pose_rows: number of tracker rows averaged in an observed pose.
+        force_rows: the same for a force; 0 if none is measured.
     """
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
@@ -157,27 +158,27 @@ def separations(
 
 
 def keeps_touch(push: Push, forces: FloatArray) -> bool:
-    """Whether the finger pushes from first touch to its stop: no model knows just when it slides off.
+    """Whether the finger stays in contact from first touch to its stop: models cannot say when it slides off.
 
     Args:
-        push: that is imagined.
+        push: the simulated push.
         forces: (S, 2) predicted for it.
     """
     size = np.hypot(*forces.T)
     pressed = size > 0.05 * size.max()
     moving = np.flatnonzero(_paces(push) > 1e-9)
     first = int(np.argmax(pressed))
-    # A stop half-way may relieve the finger; the last stretch of motion may be cut short.
+    # The force may vanish in a stop half-way; the last interval of motion may be cut short.
     return bool(pressed[first : moving[-1]][_paces(push)[first : moving[-1]] > 1e-9].all())
 
 
 def _paces(push: Push) -> FloatArray:
-    """(SAMPLES,) way of the finger in a step, mean over each stretch, m."""
+    """(SAMPLES,) distance that the finger travels per step, mean over each interval, m."""
     return _means(np.hypot(*np.diff(push.tip, axis=0).T))
 
 
 def _means(steps: FloatArray) -> FloatArray:
-    """(SAMPLES, …) means of rows (N, …) over equal stretches of them."""
+    """(SAMPLES, …) means of rows (N, …) over equal intervals."""
     edges = np.linspace(0, len(steps), SAMPLES + 1).astype(int)
     return (np.add.reduceat(steps, edges[:-1], axis=0).T / np.diff(edges)).T
 
@@ -188,7 +189,7 @@ def _whitened(covariance: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def _steady(push: Push, forces: FloatArray) -> np.ndarray:
-    """Stretches in steady pushing, as fits count them: finger fast, force present, here and beside."""
+    """Intervals of steady pushing, as in fits: fast finger and present force, also in both neighbours."""
     mean = _paces(push)
     size = np.hypot(*forces.T)
     steady = (mean > 0.5 * mean.max()) & (size > 0.2 * np.percentile(size, 90))

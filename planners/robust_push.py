@@ -1,25 +1,24 @@
 """The next push towards a target, chosen for all hypotheses at once: Algorithm 3, lines 6 to 21.
 
-As in the paper, a finger pushes at a cell of the contour against the surface normal; the first candidate is
-the cell most in line with the way of the expected centre of mass, the others are perturbed, and the best is
-the one that the hypotheses, weighed by their probabilities, expect nearest to the target. `timeout` is a
-number of candidates, so that the choice does not depend on the machine.
+As in the paper, a finger pushes at a contour cell against the surface normal. The first candidate is the cell
+most in line with the required motion of the expected centre of mass, and the others are perturbed. The best
+one has the smallest expected distance from the target, over the hypotheses with their probabilities.
+`timeout` is a number of candidates, so that the choice does not depend on the computer's speed.
 
-Beyond the paper: candidates vary in length and a little in direction; the finger's control noise, and what
-the model was found to be off by, are imagined together with the hypotheses; falling costs in each; there may
-be many targets, any of which will do; and what is compared is the expected number of pushes to a target, into
-which the gap enters.
-Without that, the object would be pushed near to a target at once, from where turning it takes more pushes
-than before.
+Extensions of the paper: candidates vary in length and slightly in direction; control noise of the finger and
+learned model errors are simulated together with the hypotheses; a fall has a cost in each; there may be many
+targets, any of which is acceptable; and candidates are compared by the expected number of pushes to a target,
+which depends on the gap. The gap alone would favour moving the object close to a target at once, from where
+turning it takes more pushes than before.
 
-All lines of push are rolled out for all scenarios in one parallel call, to the longest push. A slow push
-leaves the object where the finger stops, so that the poses on the way are the ends of all shorter pushes.
+All lines of push are rolled out for all scenarios in one parallel call, up to the longest push. A slow push
+leaves the object where the finger stops, so the poses on the way are the ends of all shorter pushes.
 
-A push that moves the object by δ from one pose, as seen from the object, moves it by δ from any other pose
-where the table carries all of it. So the pushes imagined for one pose say what pushes from every other pose
-would do, and pairs of them what two would do (`Lookahead`); the best next push is a search for the nearest
-point. At the rim, where part of the object is on air, and where effects depend on the place, this holds only
-roughly, which is enough to look ahead with; the next push itself is imagined where it is made.
+A push that moves the object by δ in its own frame from one pose does so from any other pose at which the
+table carries all of it. So the pushes simulated from one pose also predict pushes from every other pose, and
+pairs of them predict two pushes (`Lookahead`); the best next push is then found by a nearest-neighbour
+search. Where part of the object overhangs, or effects depend on the place, this holds only approximately,
+which suffices for looking ahead; the next push itself is simulated from the object's actual pose.
 """
 
 from __future__ import annotations
@@ -44,18 +43,18 @@ from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
 
 STRIDE = 2.5e-3
-"""Way of the finger in one time step, m. Against steps of 0.5 mm, pushes of 0.1 m of the hammer end within
-0.2 mm (95 %), of 0.25 m within 0.4 mm."""
+"""Distance that the finger travels per time step, m. Compared with steps of 0.5 mm, pushes of the hammer over
+0.1 m end within 0.2 mm (95 %), over 0.25 m within 0.4 mm."""
 
-_DRIFTS = 20240607  # seed of what the model is off by
+_DRIFTS = 20240607  # seed of the model errors
 
 NEGLIGIBLE = 1e-4
-"""Probability below which a hypothesis is not imagined."""
+"""Probability below which a hypothesis is not simulated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
-    """S pairs of a hypothesis and a noise of the finger's control."""
+    """S pairs of a hypothesis and a control error of the finger."""
 
     slider: Slider  # the model
     maps: Maps  # S hypotheses
@@ -63,14 +62,14 @@ class Scenarios:
     hypothesis: np.ndarray  # (S,) index in the belief
     centers_of_mass: FloatArray  # (S, 2) object frame, m
     least_margins: FloatArray  # (S,) balance margin below which the object counts as falling, m
-    noise: FloatArray  # (S, 3) by which the finger's path is off: x, y in m, angle about its begin in rad
-    # (S, 3) by which the model is off: x, y (shares of the cells' way) and angle (rad a metre of way), drawn
-    # as large as `Belief.end_errors`; zero where the belief has not learnt that
+    noise: FloatArray  # (S, 3) error of the finger's path: x, y in m, angle about its start in rad
+    # (S, 3) model error: x, y (shares of the cells' path) and angle (rad per metre of path), drawn with the
+    # size of `Belief.end_errors`; zero if the belief has not learned those
     drift: FloatArray
 
     @classmethod
     def of(cls, belief: Belief, settings: PushSettings, rng: np.random.Generator) -> Scenarios:
-        """Every hypothesis that counts, as often as the settings ask for; noise and drift have mean zero."""
+        """Every non-negligible hypothesis, repeated as set; noise and drift have zero mean."""
         kept = np.flatnonzero(belief.probability > NEGLIGIBLE)
         copies = -(-settings.scenarios // len(kept))
         hypothesis = np.tile(kept, copies)
@@ -80,7 +79,7 @@ class Scenarios:
         noise *= [settings.position_noise, settings.position_noise, np.radians(settings.angle_noise)]
         drift = np.zeros((len(hypothesis), 3))
         if belief.end_errors.any():
-            # Draws of their own: what is drawn later from `rng` is the same with and without them.
+            # A separate generator, so that later draws from `rng` are the same with and without drift.
             drift = np.random.default_rng(_DRIFTS).standard_normal(drift.shape)
             drift -= probability @ drift
             drift *= belief.end_errors / np.maximum(np.sqrt(probability @ drift**2), 1e-9)
@@ -99,32 +98,32 @@ class Scenarios:
         return len(self.probability)
 
     def drifted(self, pose: FloatArray, poses: FloatArray) -> FloatArray:
-        """(…, S, 3) where the model has the object at `poses`, from `pose` (3,), moved by the drift of each
-        scenario over the way."""
+        """(…, S, 3) predicted `poses`, reached from `pose` (3,), displaced by each scenario's drift over the
+        path."""
         if not self.drift.any():
             return poses
         way = PoseMetric(self.slider.grid).gap(poses, pose)
         return poses + way[..., None] * self.drift
 
     def of_hypotheses(self, poses: FloatArray) -> FloatArray:
-        """(K', 3) poses (S, 3) averaged over the noise of each hypothesis that is imagined."""
+        """(K', 3) poses (S, 3) averaged over the noise for each simulated hypothesis."""
         numbers = np.unique(self.hypothesis)
         return np.array([poses[self.hypothesis == k].mean(axis=0) for k in numbers])
 
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
-    """What C lines of push with L lengths would do in S scenarios."""
+    """The predicted results of C lines of push with L lengths in S scenarios."""
 
     lines: ContactLines  # of push
     begins: FloatArray  # (C, 2) finger centre before it moves, world, m
     directions: FloatArray  # (C, 2) unit vectors of the finger's motion, world
-    lengths: FloatArray  # (L,) way of the finger after first touch, m
-    poses: FloatArray  # (C, L, S, 3) of the object at the end, world; NaN where the model found no answer
-    falls: FloatArray  # (C, L) probability that its margin of balance falls below the settings' on the way
+    lengths: FloatArray  # (L,) distance that the finger travels after first touch, m
+    poses: FloatArray  # (C, L, S, 3) of the object at the end, world; NaN where the model has no solution
+    falls: FloatArray  # (C, L) probability that the balance margin drops below the settings' on the way
     probability: FloatArray  # (S,) of the scenarios
-    # (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses` where the
-    # rim is not near, or where this was not asked for
+    # (C, L, S, 3) final poses relative to the initial one on a table without a rim; as in `poses` if the rim
+    # is not near or `onward` was not set
     moves: FloatArray
 
 
@@ -137,15 +136,15 @@ def foresee(
     *,
     onward: bool = True,
 ) -> Foresight:
-    """Imagine pushing an object at `pose` (3,) along every line.
+    """Simulate pushing an object at `pose` (3,) along every line.
 
     Args:
         scenarios: S of them; their model is put on the table.
         pose: of the object, world.
         lines: of push.
         table: that the object must not fall from.
-        settings: what pushes are like.
-        onward: whether `Foresight.moves` are wanted for looking ahead.
+        settings: of pushes.
+        onward: whether `Foresight.moves` are needed for looking ahead.
 
     Raises:
         ValueError: a pose that is not finite.
@@ -165,7 +164,7 @@ def foresee(
         Push(h, begin + np.outer(path, direction), pose, pose_times=looks)
         for begin, direction in zip(begins, directions, strict=True)
     ]
-    # A finger that is off by a rigid motion pushes as one that is not, on an object, and a table, moved the
+    # A finger displaced by a rigid motion pushes like an undisplaced one on an object and a table moved the
     # other way.
     errors = _control_errors(begins, scenarios.noise)
     starts = relative(errors, pose)
@@ -190,7 +189,7 @@ def foresee(
 
 
 def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
-    """(…) whether a disc around the object at poses (…, 3) is wholly over the table."""
+    """(…) whether a disc around the object at poses (…, 3) lies entirely on the table."""
     size = np.linalg.norm(grid.exterior, axis=1).max()
     off = poses[..., :2] - np.asarray(table.center)
     if table.shape == "round":
@@ -201,8 +200,8 @@ def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
 def least_margins(belief: Belief, settings: PushSettings) -> FloatArray:
     """(K,) balance margin below which the object counts as falling, m.
 
-    That of the settings; but a slender object has little margin wherever it lies, and half of what a
-    hypothesis has far from any edge is enough.
+    The margin of the settings, or, for a slender object, which has little margin anywhere, half of the margin
+    that the hypothesis has far from any edge if that is smaller.
     """
     everywhere = Table("round", (0.0, 0.0), radius=100.0)
     free = balance_margins(belief.grid, belief.centers_of_mass, np.zeros((1, 3)), everywhere)[0]
@@ -210,7 +209,7 @@ def least_margins(belief: Belief, settings: PushSettings) -> FloatArray:
 
 
 def _control_errors(begins: FloatArray, noise: FloatArray) -> FloatArray:
-    """(S, C, 3) rigid motions of the finger's paths: turned about their begins (C, 2), then shifted."""
+    """(S, C, 3) rigid motions of the finger's paths: rotated about their starts (C, 2), then shifted."""
     angle = np.broadcast_to(noise[:, None, 2], (len(noise), len(begins)))
     shift = begins + noise[:, None, :2]
     turned = compose(np.stack([0 * angle, 0 * angle, angle], axis=-1), np.pad(begins, ((0, 0), (0, 1))))
@@ -225,8 +224,8 @@ def _rolled_out(
     looks: int,
     table_poses: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """(S, C, L, 3) poses, NaN for a push that some scenario does not solve; (S, C) when it tips, s, and
-    whether it comes near the rim. `table_poses` (S, C, 3) as of `Slider.rollout`."""
+    """(S, C, L, 3) poses, NaN for a push that cannot be solved in some scenario; (S, C) time of tipping, s,
+    and whether the object comes near the rim. `table_poses` (S, C, 3) as for `Slider.rollout`."""
     shape = len(scenarios), len(pushes)
     try:
         out = slider.rollout(scenarios.maps, pushes, start_poses=starts, table_poses=table_poses)
@@ -248,16 +247,16 @@ def _rolled_out(
 
 
 PAIRS = 100_000
-"""Pairs of pushes that are looked up."""
+"""Number of pairs of pushes in the look-up."""
 
 
 class Lookahead:
-    """Expected number of pushes from a pose to a target, looked up among imagined pushes.
+    """Expected number of pushes from a pose to a target, looked up among simulated pushes.
 
     Args:
-        foresight: pushes imagined from one pose; their `moves` count.
+        foresight: pushes simulated from one pose, of which `moves` is used.
         metric: of gaps.
-        settings: what pushes are like.
+        settings: of pushes.
         rng: draws the pairs.
     """
 
@@ -283,7 +282,7 @@ class Lookahead:
         self._two = cKDTree(np.column_stack([pairs, spread[second]]))
 
     def after(self, poses: FloatArray, targets: FloatArray, *, pairs: bool) -> FloatArray:
-        """(…, G) expected pushes from poses (…, 3) to targets (G, 3), with one push or, if wanted, a pair."""
+        """(…, G) expected pushes from poses (…, 3) to targets (G, 3), via one push or also a pair."""
         seen = self._metric.embedding(relative(poses[..., None, :], targets))
         wanted = np.concatenate([seen, np.zeros((*seen.shape[:-1], 1))], axis=-1)
         left = 1.0 + further_pushes(self._one.query(wanted, workers=2)[0], self._settings)
@@ -294,34 +293,33 @@ class Lookahead:
 
 
 def further_pushes(gap: FloatArray, settings: PushSettings) -> FloatArray:
-    """Expected pushes to close gaps (m) that are left: none within the tolerance, beyond it one and more.
+    """Expected pushes to close remaining gaps (m): none well within the tolerance, one or more beyond it.
 
-    The gap is one of all cells, the tolerance one of place and of angle; a gap as large as the tolerance is
-    taken to miss half of the time.
+    The gap is measured over all cells, the tolerance in position and angle; a gap as large as the tolerance
+    is assumed to miss half of the time.
     """
     misses = gap**4 / (gap**4 + settings.tolerance**4)
     return misses * (1.0 + gap / settings.longest)
 
 
-_TARGETS = 24  # that are looked at closely, those that seem to take the fewest pushes
-_FAR = 2.5  # expected pushes to the nearest target above which pairs are looked up to follow the next push
-_SHORTER = 0.7  # of the length of a push that is not allowed: what is asked for next on its line at most
-_STEP = 2  # lengths of a push from one that is looked up to the next
+_TARGETS = 24  # targets examined closely, those that seem to take the fewest pushes
+_FAR = 2.5  # expected pushes to the nearest target above which pairs after the next push are looked up
+_SHORTER = 0.7  # longest push tried next on a line, as a share of one that was not allowed
+_STEP = 2  # every how many lengths the look-up is made
 _VARIED = 8  # best lines, around which others are tried
-_ROUNDS = 2  # in which these are tried; the second around the best of the first, too
-_SHIFT, _TILT = 0.008, np.radians(6.0)  # standard deviations of these from those, m along the contour and rad
+_ROUNDS = 2  # rounds of trying them; the second also varies the best of the first
+_SHIFT, _TILT = 0.008, np.radians(6.0)  # standard deviations of the variation, m along the contour and rad
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedPush:
-    """A push and what is expected of it."""
+    """A push and its expected result."""
 
     push: TablePush  # on the table
     target: int  # index of the target that it serves
-    gap: float  # expected distance of the cells from where they are in the target, after the push, m
+    gap: float  # expected distance of the cells from their places in the target after the push, m
     fall_probability: float  # that the object falls on the way or at the end
-    # (K, 3) pose after the push in each hypothesis that is not negligible, without control noise on average,
-    # world
+    # (K, 3) pose after the push in each non-negligible hypothesis, averaged over control noise, world
     predicted: FloatArray
     pushes: float  # expected number of pushes to the target, this one included
 
@@ -340,14 +338,14 @@ def plan_push(
 
     Args:
         belief: hypotheses, one or many.
-        pose: (3,) where the object lies, world, m and rad.
-        targets: (3,) or (G, 3) poses, any of which will do.
+        pose: (3,) of the object, world, m and rad.
+        targets: (3,) or (G, 3) poses, any of which is acceptable.
         table: that it must not fall from.
-        settings: what pushes are like.
+        settings: of pushes.
         rng: source of every draw.
-        allowed: whether the robot can make a push; asked in order of preference until one is found. Where a
-            push is not allowed, only clearly shorter ones on the same line are asked for.
-        costs: (G,) what is to be added to the expected number of pushes to a target.
+        allowed: whether the robot can make a push; called in order of preference until one is found. After a
+            refusal, only clearly shorter pushes on the same line are tried.
+        costs: (G,) added to the expected number of pushes to each target.
 
     Raises:
         NoReachablePush: the finger reaches the object nowhere, or no candidate is allowed.
@@ -393,12 +391,12 @@ def _expected_pushes(
     settings: PushSettings,
     far: bool,
 ) -> FloatArray:
-    """(C, L, G) expected number of pushes to each target if it begins with this one; a fall costs."""
+    """(C, L, G) expected number of pushes to each target, starting with each push, plus the cost of falls."""
     solved = np.asarray(np.isfinite(seen.poses).all(axis=(2, 3)))
     poses = np.where(solved[..., None, None], seen.poses, 0.0)
     gaps = metric.gaps(poses, goals)
     follow = np.einsum("clsg,s->clg", further_pushes(gaps, settings), seen.probability)
-    # What follows is looked up for some lengths only: neighbours differ little.
+    # Later pushes are looked up for some lengths only, because neighbouring lengths differ little.
     likely = np.einsum("clsx,s->clx", poses[:, ::_STEP], seen.probability)
     follow[:, ::_STEP] = np.minimum(follow[:, ::_STEP], ahead.after(likely, goals, pairs=far))
     value = 1.0 + follow + extra + settings.fall_cost * seen.falls[..., None]

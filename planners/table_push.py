@@ -1,4 +1,4 @@
-"""`TablePush`: a push as it is asked for, along a straight line on the table, and its `Pace`."""
+"""`TablePush`: a requested push along a straight line on the table, and its `Pace`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from slipmap.models.physics.cell_grid import FloatArray
 
 TOUCH_SPEED = 0.05
-"""m/s, at which a tap meets the object: fast enough to be brief, too slow for a blow."""
+"""Speed at which a tap meets the object, m/s: fast enough to be brief, too slow for an impact."""
 
 TAP_SPEEDING_UP, TAP_SLOWING_DOWN = 3.0, 5.0
-"""m/s², of the finger in a tap. It stops faster than friction stops an object, which slides on alone; the arm
-can brake so in nearly all places, by 8 m/s² in few."""
+"""Accelerations of the finger in a tap, m/s². The finger stops faster than friction stops the object, which
+slides on alone; the arm can brake this hard nearly everywhere, but at 8 m/s² in few places."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,17 +21,17 @@ class TablePush:
     """A straight push of the finger.
 
     A tap touches the object gently, speeds up with it, and stops short, so that the object slides on by
-    itself. How far it slides and turns tells mass from friction, which slow pushes cannot.
+    itself. How far it slides and turns distinguishes mass from friction, which slow pushes cannot.
 
     Attributes:
-        begin: (2,) centre of the finger before it moves, free of the object, world, m.
+        begin: (2,) centre of the finger before it moves, clear of the object, world, m.
         end: (2,) centre of the finger where it stops, world, m.
         speed: of the finger between speeding up and slowing down, m/s.
-        creep: of a tap, way that the finger goes at `TOUCH_SPEED` before it speeds up, m; 0 in other pushes.
+        creep: in a tap, distance that the finger travels at `TOUCH_SPEED` before it speeds up, m; else 0.
 
     Raises:
-        ValueError: a number that is not finite, a speed that is not positive, no way to go, or a creep that
-            takes up all of it.
+        ValueError: a number that is not finite, a speed that is not positive, a length of zero, or a creep as
+            long as the push.
 
     Example:
         >>> import slipmap
@@ -60,7 +60,7 @@ class TablePush:
 
     @property
     def length(self) -> float:
-        """Way of the finger, m."""
+        """Length of the finger's path, m."""
         return float(np.hypot(*(self.end - self.begin)))
 
     @property
@@ -69,13 +69,13 @@ class TablePush:
         return (self.end - self.begin) / self.length
 
     def pace(self, speeding_up: float, slowing_down: float) -> Pace:
-        """When the finger is where, from rest to rest.
+        """The finger's distance over time, from rest to rest.
 
-        Where the way is too short for the speed, the fastest point is where slowing down has to begin.
+        If the path is too short to reach the speed, the finger slows down as soon as it must.
 
         Args:
-            speeding_up: acceleration in pushes that are not taps, m/s².
-            slowing_down: the same at the end.
+            speeding_up: acceleration in pushes other than taps, m/s².
+            slowing_down: deceleration in pushes other than taps, m/s².
         """
         slow = min(TOUCH_SPEED, self.speed, np.sqrt(2.0 * speeding_up * self.creep))
         up, down = (TAP_SPEEDING_UP, TAP_SLOWING_DOWN) if self.creep else (speeding_up, slowing_down)
@@ -99,13 +99,13 @@ class TablePush:
     ) -> FloatArray:
         """(N + 1, 2) centre of the finger in the world, m, every `step` (s): the `tip` of a `Push`.
 
-        The finger rests before it moves, and after; an object that was tapped slides on meanwhile.
+        The finger rests before and after it moves; after a tap, the object slides on during that rest.
 
         Args:
             step: s.
-            speeding_up: acceleration in pushes that are not taps, m/s².
-            slowing_down: the same at the end.
-            rest: at least so long before and after, s.
+            speeding_up: acceleration in pushes other than taps, m/s².
+            slowing_down: deceleration in pushes other than taps, m/s².
+            rest: shortest rest before and after, s.
 
         Raises:
             ValueError: a step that is not positive.
@@ -119,19 +119,19 @@ class TablePush:
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """A finger's way over time, with constant accelerations between knots."""
+    """A finger's distance over time, with constant accelerations between knots."""
 
-    times: FloatArray  # (m,) from 0, s
-    ways: FloatArray  # (m,) gone until then, m
-    speeds: FloatArray  # (m,) then, m/s
+    times: FloatArray  # (m,) of the knots, from 0, s
+    ways: FloatArray  # (m,) distance travelled by then, m
+    speeds: FloatArray  # (m,) at the knots, m/s
 
     @property
     def duration(self) -> float:
-        """s."""
+        """Total time, s."""
         return float(self.times[-1])
 
     def at(self, times: FloatArray) -> FloatArray:
-        """(T,) way gone at times (T,), m; at rest before the first and after the last knot."""
+        """(T,) distance travelled at times (T,), m; at rest before the first and after the last knot."""
         t = np.clip(times, 0.0, self.duration)
         k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
         since = t - self.times[k]

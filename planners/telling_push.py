@@ -1,16 +1,18 @@
-"""The push that tells most: which push a person should make next after a diagnosis, and how.
+"""The most informative push: which push a person should make next after a diagnosis, and how.
 
-It is the one on which the models that are left differ most, or that shows best what is not yet seen:
+It depends on the verdict:
 
-- Several effects left: the push whose predictions differ most between the two that differ least.
-- One effect: the push on which its least certain parameter shows most, while everything else follows that
-  parameter as the data demand.
-- Undecided: the push that best shows those effects that the recorded pushes show least.
-- Unknown: the push with the largest residual, repeated with that changed on which the residual depends.
+- Several effects left: the push that maximises the smallest difference between the predictions of two of
+  them.
+- One effect: the push that shows its least certain parameter best, with everything else refitted to that
+  parameter.
+- Undecided: the push that best shows the effects that the recorded pushes show least.
+- Unknown: the push with the largest residual, repeated with a change in the quantity that the residual
+  depends on.
 - Adequate: none.
 
-Proposed pushes are like the recorded ones in place, length and speed (`Habits`). A robot, which cannot lay
-the object elsewhere, asks a `Question` of the pushes that it can make (`robots_question`).
+Proposed pushes are like the recorded ones in place, length and speed (`Habits`). A robot cannot put the
+object elsewhere, so it ranks the pushes that it can make by a `Question` (`robots_question`).
 """
 
 from __future__ import annotations
@@ -41,16 +43,16 @@ from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_p
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
 
 MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])
-"""m, rad by which a person may miss the pose; a push has to tell the rivals apart there too."""
+"""m, rad by which a person may misplace the object; a push must tell the rivals apart even then."""
 
 _CANDIDATES, _FINALISTS = 300, 12
 _CONTACTS = 60
-_HARDLY_SEEN = 5  # effects, at most
-_LEADING = 2  # effects that a robot tells apart where the verdict is open
-_LEADS = 2.0  # nats that such an effect gains
-_FASTER = 1.5  # how much faster or slower than any recorded push a proposed one may be
-_DWELL = 0.5  # s that a finger stands still half-way
-_APPROACH = 0.01  # m between finger and object before
+_HARDLY_SEEN = 5  # most effects to compare
+_LEADING = 2  # effects that a robot tells apart if the verdict is undecided
+_LEADS = 2.0  # nats that such an effect must gain
+_FASTER = 1.5  # factor by which a proposed push may be faster or slower than any recorded one
+_DWELL = 0.5  # s for which the finger stops half-way
+_APPROACH = 0.01  # m between finger and object at the start
 
 
 def diagnose(
@@ -62,10 +64,10 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """The diagnosis of a dataset with `next_push` filled: all that `slipmap diagnose` finds out.
+    """Diagnose a dataset and plan the next push: everything that `slipmap diagnose` computes.
 
     Args:
-        dataset, effects, draws, quick, seed, progress: as of `slipmap.models.inference.diagnosis.diagnose`.
+        dataset, effects, draws, quick, seed, progress: as for `slipmap.models.inference.diagnosis.diagnose`.
 
     Raises:
         DatasetError, EffectError, ValueError: as there.
@@ -87,7 +89,7 @@ def diagnose(
 
 
 def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
-    """The push to make next.
+    """The push that a person should make next.
 
     Args:
         diagnosis: of the dataset.
@@ -95,11 +97,11 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         seed: of the candidate pushes.
 
     Returns:
-        None where there is nothing to find out or no push can be made; else plain numbers, world frame,
-        m and s: `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the
-        object frame, `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion,
-        `speed`, `length` from first touch to stop, `dwell` half-way (0 for none), `separates` names,
-        `separation` in standard deviations of the error model, and a `sentence` that says all this.
+        None if there is nothing to find out or no push can be made; else plain numbers, world frame, m and s:
+        `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
+        `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
+        `length` from first touch to stop, `dwell` half-way (0 for none), `separates` (names), `separation` in
+        standard deviations of the error model, and a `sentence` with all of this.
     """
     if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
         return None
@@ -111,7 +113,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     question = _question(diagnosis, dataset, habits)
     rivals = question.rivals
     try:
-        # Many models take as long as many pushes.
+        # Fewer candidates if there are many models, to limit the time.
         count = _CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else _CANDIDATES
         mu_finger = float(Rival.of(diagnosis.base).maps.mu_finger[0])
         chosen = _instructions(dataset, habits, mu_finger, count, rng)
@@ -139,24 +141,24 @@ def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Models that a push is to tell apart, and how well pushes would."""
+    """Models that a push should tell apart, and a measure of how well a push does so."""
 
     rivals: tuple[Rival, ...]  # the models
     pairs: tuple[tuple[int, int], ...]  # of them that count
-    good_for: str  # what an answer is good for, such as `tells them apart best`
-    error: ErrorModel  # what observed courses are off by anyway
+    good_for: str  # purpose of the push, such as `best tells the models apart`
+    error: ErrorModel  # of observed trajectories
     grid: CellGrid  # the object
-    habits: Habits  # what the recorded pushes were like
+    habits: Habits  # statistics of the recorded pushes
 
     @property
     def words(self) -> str:
-        """What is to be told apart, such as `table_tilt from tether`."""
+        """The models to tell apart, such as `table_tilt from tether`."""
         *names, last = [rival.name for rival in self.rivals]
         return f"{names[0]} from {last}" if len(names) == 1 else f"{', '.join(names)} and {last} apart"
 
     def told_by(self, pushes: Sequence[Push]) -> FloatArray:
-        """(B,) separation of the two that differ least, in standard deviations of the error model; 0 where
-        the finger slides off, unless it does so in all."""
+        """(B,) separation of the pair that differs least, in standard deviations of the error model; 0 for
+        pushes in which the finger slides off, unless it does so in all."""
         predicted = [predict(rival, pushes) for rival in self.rivals]
         apart = separations(
             predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows
@@ -168,17 +170,18 @@ class Question:
 
 
 def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | None:
-    """What a robot's next pushes are to tell apart: the models that are left, or the effect from none.
+    """The models that a robot's next pushes should tell apart.
 
-    Of one effect it is whether it is there at all, as that is what the robot has to be sure of. Where the
-    verdict is `undecided`, it is which of the `_LEADING` effects that gain most, in ordinary size, if any is.
+    With several effects left, these effects. With one, the models with and without it, because the robot must
+    be sure that the effect is present. If the verdict is `undecided`, the `_LEADING` effects that gain most,
+    in ordinary size, and the model without any.
 
     Args:
         diagnosis: of the dataset.
         dataset: that was diagnosed.
 
     Returns:
-        None where nothing is to be told apart: `adequate` and `unknown`.
+        None if there is nothing to tell apart: `adequate` and `unknown`.
     """
     if diagnosis.verdict in ("adequate", "unknown"):
         return None
@@ -195,12 +198,12 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
         rivals = (*_of_ordinary_size(diagnosis, dataset, habits, leading), base)
         pairs = tuple(combinations(range(len(rivals)), 2))
         error = diagnosis.best.likelihood.error
-        return Question(rivals, pairs, "tells them apart best", error, dataset.grid, habits)
+        return Question(rivals, pairs, "best tells the models apart", error, dataset.grid, habits)
     return _question(diagnosis, dataset, habits)
 
 
 def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
-    """What `next_push` returned, to be simulated; `order` is its place in the experiment."""
+    """The push that `next_push` returned, to simulate; `order` is its place in the experiment."""
     begin, end = np.array(asked["tip_start"]), np.array(asked["tip_end"])
     return straight_push(
         np.array(asked["pose"]), begin, end, asked["speed"], dwell=asked["dwell"], order=order
@@ -209,15 +212,15 @@ def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
 
 @dataclass(frozen=True)
 class Habits:
-    """What the recorded pushes were like."""
+    """Statistics of the recorded pushes, from which new ones are proposed."""
 
-    low: FloatArray  # (2,) corner of the places at which the object was, m
-    high: FloatArray  # (2,) opposite corner
+    low: FloatArray  # (2,) lower corner of the object's positions, m
+    high: FloatArray  # (2,) upper corner
     speeds: tuple[float, float, float]  # slow, medium and fast, m/s
-    lengths: tuple[float, float]  # shortest and longest way to propose, m
-    pose_rows: float  # rows of the tracker that an observed pose is the mean of
-    force_rows: float  # the same of a force; 0 where none was measured
-    pushes: int  # their number
+    lengths: tuple[float, float]  # shortest and longest push to propose, m
+    pose_rows: float  # number of tracker rows averaged in an observed pose
+    force_rows: float  # the same for a force; 0 if none was measured
+    pushes: int  # number of recorded pushes
 
 
 def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
@@ -246,16 +249,16 @@ def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habi
 
 @dataclass(frozen=True, eq=False)
 class Instruction:
-    """What a person is to do: put the object somewhere and push it."""
+    """A push that a person is asked to make, and where to put the object for it."""
 
     pose: FloatArray  # (3,) at which to put the object, world, m and rad
-    contact: FloatArray  # (2,) point of its outline that is touched first, object frame, m
-    # begin, end: (2,) finger centre at first and at last, world, m
+    contact: FloatArray  # (2,) first point of its outline to be touched, object frame, m
+    # begin, end: (2,) finger centre at the start and at the end, world, m
     begin: FloatArray
     end: FloatArray
     speed: float  # of the finger, m/s
-    length: float  # way of the finger from first touch to its stop, m
-    dwell: float  # s that it stands still half-way
+    length: float  # distance that the finger travels from first touch to its stop, m
+    dwell: float  # duration of the stop half-way, s
 
     @classmethod
     def of(cls, push: Candidate, pose: FloatArray, speed: float, length: float, dwell: float) -> Instruction:
@@ -264,7 +267,7 @@ class Instruction:
         return cls(pose, push.contact, begin, end, speed, length, dwell)
 
     def push(self, order: float, misplaced: FloatArray | None = None, *, coarseness: float = 1.0) -> Push:
-        """To be simulated, if wanted with the object a little off (3,), or in longer steps."""
+        """The push to simulate, optionally with the object misplaced (3,) or in longer time steps."""
         pose = self.pose if misplaced is None else self.pose + misplaced
         return straight_push(
             pose, self.begin, self.end, self.speed, dwell=self.dwell, order=order, coarseness=coarseness
@@ -290,7 +293,8 @@ def _instructions(
 ) -> list[Instruction]:
     """Random pushes that stay in the region of the recorded ones and on the table.
 
-    Half of them come in pairs that differ by half a turn alone: many effects differ on a reversed push.
+    Half of them come in pairs that differ only by half a turn, because many effects differ on a reversed
+    push.
     """
     cone = float(np.clip(0.9 * np.arctan(mu_finger), 0.05, np.pi / 4))
     contacts = candidate_pushes(
@@ -312,12 +316,12 @@ def _instructions(
             if _on_table(proposal, dataset):
                 found.append(proposal)
     if not found:
-        raise NoReachablePush("no push stays on the table")
+        raise NoReachablePush("planning: none of the random pushes stays on the table")
     return found[:count]
 
 
 def _place(habits: Habits, move: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Where to begin so that a move ends in the region too; centred on it where it does not fit."""
+    """A start from which a move ends in the region too; if it does not fit, the move is centred there."""
     low, high = habits.low - np.minimum(move, 0.0), habits.high - np.maximum(move, 0.0)
     middle = 0.5 * (habits.low + habits.high) - 0.5 * move
     return np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
@@ -337,7 +341,7 @@ def _on_table(proposal: Instruction, dataset: PushDataset) -> bool:
 
 
 def _question(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> Question:
-    """Models to tell apart, the pairs of them that count, and what that is good for."""
+    """The models to tell apart, the pairs of them that count, and the purpose."""
 
     def of(rivals: Sequence[Rival], pairs: Sequence[tuple[int, int]], good_for: str) -> Question:
         error = diagnosis.best.likelihood.error
@@ -346,15 +350,15 @@ def _question(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> Que
     if diagnosis.verdict == "undecided":
         rivals = _hardly_seen(diagnosis, dataset, habits)
         pairs = [(0, k) for k in range(1, len(rivals))]
-        return of(rivals, pairs, "would show best what the pushes so far show least")
+        return of(rivals, pairs, "best shows what the pushes so far show least")
     if len(diagnosis.rivals) > 1:
         rivals = [Rival.of(fitted) for fitted in diagnosis.rivals]
-        return of(rivals, list(combinations(range(len(rivals)), 2)), "tells them apart best")
-    return of(_sharpened(diagnosis.best), [(0, 1)], "pins the parameter down best")
+        return of(rivals, list(combinations(range(len(rivals)), 2)), "best tells the models apart")
+    return of(_sharpened(diagnosis.best), [(0, 1)], "best pins down the parameter")
 
 
 def _sharpened(best: Fitted) -> list[Rival]:
-    """The model with its least certain parameter a standard deviation down and up, the rest refitted."""
+    """The model with its least certain parameter one standard deviation lower and higher, refitted."""
     prior = best.likelihood.prior
     equations = best.likelihood.linearise(
         best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
@@ -376,7 +380,7 @@ def _sharpened(best: Fitted) -> list[Rival]:
 def _of_ordinary_size(
     diagnosis: Diagnosis, dataset: PushDataset, habits: Habits, names: Sequence[str]
 ) -> list[Rival]:
-    """The model without effects, given one effect of ordinary size each."""
+    """Copies of the model without effects, each with one effect of ordinary size added."""
     plain = Rival.of(diagnosis.base)
     weight = float(plain.maps.mass.sum()) * dataset.gravity
     center = 0.5 * (habits.low + habits.high)
@@ -402,8 +406,8 @@ def _of_ordinary_size(
 
 
 def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
-    """The model without effects, and with one effect of ordinary size each: the third of those that show in
-    the recorded pushes at all which show least, five at most."""
+    """The model without effects, and copies of it with one effect of ordinary size each: of the effects that
+    show in the recorded pushes, the third that shows least, but at least two and at most five."""
     base = diagnosis.base
     plain = Rival.of(base)
     tried = {c.name for c in diagnosis.candidates}
@@ -425,7 +429,7 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
 
 
 def _as_imagined(observation: Observation) -> Push:
-    """A recorded push, looked at as imagined ones are."""
+    """A recorded push, sampled like simulated ones."""
     push = observation.push
     steps = len(push.tip) - 1
     looks = push.h * steps * np.arange(1, 31) / 30
@@ -435,9 +439,9 @@ def _as_imagined(observation: Observation) -> Push:
 def _most_telling(
     question: Question, proposals: Sequence[Instruction], coarseness: float
 ) -> tuple[Instruction, float, list[Predictions]]:
-    """The best proposal, its separation, and what the rivals predict for it.
+    """The best proposal, its separation, and the rivals' predictions for it.
 
-    Among the best few, the one wins that still tells most where the object is put down a little off.
+    Among the best few, the winner still separates the models best when the object is slightly misplaced.
     """
     order = float(question.habits.pushes)
     score = question.told_by([proposal.push(order, coarseness=coarseness) for proposal in proposals])
@@ -453,7 +457,7 @@ def _most_telling(
 
 
 def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:
-    """The push that the model misses most, with that changed on which the residual depends."""
+    """The push with the largest residual, with a change in the quantity that the residual depends on."""
     base = diagnosis.base
     likelihood = base.likelihood
     rows = likelihood.rows(base.z, base.offsets)
@@ -474,9 +478,9 @@ def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) 
     asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
     trial = observation.trial
     return asked | {
-        "sentence": f"Repeat the push {trial}, which the model misses most"
-        f" ({norms[worst]:.0f} standard deviations), {what}. {_how_to(asked)}"
-        " If the miss changes with it, that is what it depends on; if not, it is not."
+        "sentence": f"Repeat push {trial}, which the model predicts worst"
+        f" ({norms[worst]:.0f} standard deviations off), {what}. {_how_to(asked)}"
+        " If the error changes, it depends on what you changed; if not, it does not."
     }
 
 
@@ -501,14 +505,14 @@ def _repeated(observation: Observation, dataset: PushDataset) -> Instruction | N
 
 
 def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instruction, str]:
-    """The push with one thing changed, and what it is."""
+    """The push with one thing changed, and the change in words."""
     if "place" in depends:
         middle = 0.5 * (habits.low + habits.high)
         way = push.end - push.begin
         other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
         pose = push.pose + np.append(other, 0.0)
         moved = replace(push, pose=pose, begin=push.begin + other, end=push.end + other)
-        return moved, "at another place, all else the same"
+        return moved, "at another place, with everything else the same"
     if "direction" in depends or "object" in depends:
         angle = np.pi / 2 if "direction" in depends else np.pi
         rotation, origin = turn(angle), push.pose[:2]
@@ -518,7 +522,7 @@ def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instructi
     if "time" in depends:
         return replace(push, dwell=2.0), "with a stop of 2 s half-way"
     if "order" in depends:
-        return push, "exactly as it was, now after all others"
+        return push, "exactly as it was, but after all the others"
     fast = habits.speeds[2] if push.speed < 0.75 * habits.speeds[2] else habits.speeds[0]
     return replace(push, speed=fast), f"at {fast / push.speed:.1f} times its speed"
 
@@ -534,15 +538,15 @@ def _sentence(
         text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
         parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
     return (
-        f"{_how_to(asked)} It {why}: by {asked['separation']:.1f} standard deviations. Predicted way,"
-        f" turn and mean force — {'; '.join(parts)}."
+        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations. Predicted"
+        f" displacement, rotation and mean force — {'; '.join(parts)}."
     )
 
 
 def _how_to(asked: dict[str, Any]) -> str:
-    """What to do, in a sentence."""
+    """The instruction in one sentence."""
     x, y, angle = asked["pose"]
-    stop = f", rest {asked['dwell']:.1g} s half-way" if asked["dwell"] else ""
+    stop = f", pause for {asked['dwell']:.1g} s half-way" if asked["dwell"] else ""
     return (
         f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°;"
         f" move the finger from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"

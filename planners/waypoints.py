@@ -1,15 +1,16 @@
-"""Poses on the way to a goal, by RRT* in SE(2): Algorithm 3, line 1.
+"""Waypoints to a goal, by RRT* in SE(2): Algorithm 3, line 1.
 
-An object may be anywhere where it is balanced, its footprint on the table or partly over the edge.
+The object may be at any pose where it is balanced, with its footprint on the table or partly over the edge.
 
-The paper measures gaps between poses by the distance of their 3n vectors. Without the angles, and per cell,
-that is the root mean square distance between the cells. It is the Euclidean distance of
+The paper measures gaps between poses by the distance between their 3n vectors. Without the angles, and per
+cell, that is the root mean square distance between the cells, which equals the Euclidean distance between the
+vectors
 
     e(q) = (c_x, c_y, ρ cos θ, ρ sin θ),
 
-with c the place of the cells' centroid and ρ² the mean square of the cells' distances from it, since
-mean |p^i - p'^i|² = |c - c'|² + 2 ρ² (1 - cos(θ - θ')). So nearest poses are found by any search for nearest
-points, and the mean square gap over uncertain poses is the gap of the mean plus the variance.
+where c is the position of the cells' centroid and ρ² their mean square distance from it, since
+mean |p^i - p'^i|² = |c - c'|² + 2 ρ² (1 - cos(θ - θ')). So any nearest-neighbour search finds nearest poses,
+and the mean square gap over uncertain poses is the squared gap of the mean plus the variance.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class PoseMetric:
         self.radius = radius_of_gyration(grid)
 
     def embedding(self, poses: FloatArray) -> FloatArray:
-        """(…, 4) e(q) of poses (…, 3); distances between these are gaps."""
+        """(…, 4) vectors e(q) of poses (…, 3); distances between them are gaps."""
         place = compose(poses, self._centroid)
         angle = poses[..., 2, None]
         turned = self.radius * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
@@ -47,21 +48,21 @@ class PoseMetric:
         return np.linalg.norm(self.embedding(one) - self.embedding(other), axis=-1)
 
     def gaps(self, poses: FloatArray, targets: FloatArray) -> FloatArray:
-        """(…, G) gap between each pose (…, 3) and each target (G, 3), m; right to a tenth of a micrometre."""
+        """(…, G) gap between each pose (…, 3) and each target (G, 3), m; accurate to 0.1 µm."""
         points, goals = self.embedding(poses), self.embedding(targets)
         square = (points**2).sum(axis=-1)[..., None] + (goals**2).sum(axis=-1) - 2.0 * points @ goals.T
         return np.sqrt(np.maximum(square, 0.0))
 
 
 ITERATIONS = 250
-"""Of RRT*."""
+"""Iterations of RRT*."""
 
 _RANGE = 0.2  # longest edge of the tree, m
-_RESOLUTION = 0.02  # distance of poses on an edge at which balance is looked at, m
+_RESOLUTION = 0.02  # distance between poses on an edge at which balance is checked, m
 
 
 class NoWay(ValueError):
-    """No way to the goal was found on which the object stays balanced."""
+    """No path to the goal was found on which the object stays balanced."""
 
 
 def find_waypoints(
@@ -74,10 +75,10 @@ def find_waypoints(
     epsilon: float = 0.1,
     margin: float = 0.0,
 ) -> FloatArray:
-    """Poses to pass on the way from `start` to `goal`; the straight way where it is safe.
+    """Find waypoints from `start` to `goal`; the straight path if it is safe.
 
-    A pose is safe where the object falls with a probability of at most `epsilon`, or of that at the start or
-    the goal, if these are worse. Distances weigh angles by the object's radius of gyration.
+    A pose is safe if the object falls there with a probability of at most `epsilon`, or of that at the start
+    or the goal if that is higher. Distances weight angles by the object's radius of gyration.
 
     Args:
         belief: hypotheses about the centre of mass.
@@ -89,7 +90,7 @@ def find_waypoints(
         margin: balance margin below which it counts as falling, m.
 
     Returns:
-        (n, 3) waypoints, the goal last, the start left out; angles continue from that of the start.
+        (n, 3) waypoints, ending with the goal, without the start; angles are continuous from the start's.
 
     Raises:
         NoWay: none was found.
@@ -101,7 +102,7 @@ def find_waypoints(
 
     limit = max(epsilon, falls(start), falls(goal)) + 1e-9
     space = _space(PoseMetric(belief.grid).radius, belief, table)
-    # OMPL's generators take their seeds from one that is shared; it complains, but obeys.
+    # OMPL's generators take their seeds from a shared one; setting that again logs an error but works.
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
     information = base.SpaceInformation(space)
@@ -120,7 +121,7 @@ def find_waypoints(
     setup.solve(base.PlannerTerminationCondition(_after(ITERATIONS)))
     if not setup.haveExactSolutionPath():
         raise NoWay(
-            f"no way from {np.round(start, 3).tolist()} to {np.round(goal, 3).tolist()} was found on which"
+            f"no path from {np.round(start, 3).tolist()} to {np.round(goal, 3).tolist()} was found on which"
             " the object stays balanced"
         )
     path = setup.getSolutionPath()
@@ -158,6 +159,6 @@ def _pose(state: base.SE2StateType) -> FloatArray:
 
 
 def _after(calls: int):  # type: ignore[no-untyped-def]
-    """A condition that ends planning after so many questions, one an iteration."""
+    """A condition that ends planning after a number of calls, one per iteration."""
     left = iter(range(calls))
     return lambda: next(left, None) is None

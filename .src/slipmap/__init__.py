@@ -1,14 +1,14 @@
-"""slipmap finds out how an unknown object slides: maps of mass and friction from a few pushes.
+"""slipmap learns how an unknown object slides: maps of its mass and friction, from a few pushes.
 
-What most scripts and notebooks need is offered here, each name loaded when it is first used:
+The names that most scripts and notebooks need are here; each is loaded on first use:
 
 >>> import slipmap
 >>> dataset, truth = slipmap.simulated_hammer(seed=1)
 >>> len(dataset.fit_trials), len(dataset.grid)
 (6, 60)
 
-`docs/python.md` has a line on each name; `__init__.pyi` says where each lies. The rest lies in
-`slipmap.models` (what the world is), `slipmap.planners` (what to do) and `slipmap.diagrams` (Drake blocks and
+`docs/python.md` describes each name in one line; `__init__.pyi` shows where each is defined. Everything else
+is in `slipmap.models` (the world), `slipmap.planners` (what to do) and `slipmap.diagrams` (Drake blocks and
 the application).
 """
 

@@ -1,4 +1,4 @@
-"""Names that `import slipmap` offers and where each lies; `__init__.py` loads them on first use."""
+"""The names that `import slipmap` offers and where each is defined; `__init__.py` loads them on first use."""
 
 from . import diagrams as diagrams, models as models, planners as planners
 from .diagrams.application.demonstration import (

@@ -1,4 +1,4 @@
-"""Where the console script begins: a Ctrl-C while the commands are being loaded ends it quietly."""
+"""Entry point of the console script; Ctrl-C during import ends it quietly."""
 
 import sys
 

@@ -1,1 +1,1 @@
-"""Pushes made by the arm: plans of its motion and the block that carries them out."""
+"""Pushes and grasps by the arm: plans of its motion and the block that executes them."""

@@ -1,6 +1,6 @@
-"""Motions of the arm: where the finger is and what it feels, joint angles along its lines, how fast to go.
+"""Motions of the arm: kinematics and force of the finger, joint angles along lines, and timing.
 
-`Plan` is a motion as a whole, phase by phase; `find_way` looks for a way around what stands in it.
+`Plan` is a complete motion in phases; `find_way` searches for a path around obstacles.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ from slipmap.models.robots import (
 from slipmap.planners.table_push import Pace
 
 WORKING_POSTURE = np.array([1.4, -0.8, -1.07, -1.38, 0.0, 1.41, -0.93])
-"""(7,) rad; the finger points about down in the middle of what the arm reaches from `default_arm_base`. The
-elbow is to one side, at a height of 0.3 m at least; above the hand, joint 6 would often be at its limit."""
+"""(7,) rad; the finger points roughly down at the centre of the arm's reach from `default_arm_base`. The
+elbow is to one side, at a height of at least 0.3 m; with the elbow above the hand, joint 6 would often be at
+its limit."""
 
 LIMIT_MARGIN = np.deg2rad(3.0)
-"""The joints keep this far from their limits, rad."""
+"""Distance that the joints keep from their limits, rad."""
 
-_TOLERANCE = 1e-6  # m, of the finger's position; over the finger's length also of its direction
+_TOLERANCE = 1e-6  # m, of the finger's position, and over the finger's length also of its direction
 _SWIVELS = np.array(
     [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -47,8 +48,8 @@ _SWIVELS = np.array(
         [-0.3, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
     ]
 )
-"""Turns of the elbow about the line from shoulder to wrist, added to the working posture as starts of the
-search. At 60 random points 16 random starts found no posture nearer than these."""
+"""Rotations of the elbow about the line from shoulder to wrist, added to the working posture as starting
+points of the search. At 60 random points, 16 random starting points found no posture nearer than these."""
 _WEIGHTS = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
 _PULL = 0.1  # towards the working posture, per step along a line
 
@@ -58,14 +59,14 @@ class MotionRefused(ValueError):
 
 
 class OutOfReach(MotionRefused):
-    """The finger cannot be held there, pointing as it should."""
+    """The finger cannot be held at this point in the required direction."""
 
 
 class FingerKinematics:
     """Forward and inverse kinematics of the finger's end T.
 
     Args:
-        model: the arm as `arm_model` makes it: finalized, 7 positions, a frame `tip`.
+        model: the arm, as built by `arm_model`: finalized, 7 positions, a frame `tip`.
     """
 
     def __init__(self, model: MultibodyPlant) -> None:
@@ -78,7 +79,7 @@ class FingerKinematics:
         def place(frame: Frame, seen_from: Frame) -> FloatArray:
             return np.asarray(model.CalcPointsPositions(self._context, frame, origin, seen_from).ravel())
 
-        # The axes of the last three joints meet in the wrist, those of the first three in the shoulder.
+        # The axes of the last three joints meet at the wrist, those of the first three at the shoulder.
         self._p_WShoulder = place(shoulder, model.world_frame())
         self._p_TWrist = place(wrist, self.tip)
         self._upper_arm, self._forearm = (
@@ -111,13 +112,13 @@ class FingerKinematics:
         """Joint angles (7,) with the finger's end at a point and the finger pointing down.
 
         Args:
-            p_WT: (3,) where the end of the finger shall be, world, m.
-            near: (7,) angles of a neighbouring point to go on from, rad: the solution lies close to them. If
-                None, of all ways to reach the point the one nearest to `WORKING_POSTURE` is taken.
+            p_WT: (3,) required position of the finger's end, world, m.
+            near: (7,) angles for a neighbouring point, rad: the solution is close to them. If None, it is the
+                one nearest to `WORKING_POSTURE`.
             yaw: direction from the wrist to the finger, rad, kept within 8 degrees; any if None.
 
         Raises:
-            OutOfReach: there are no such angles within the joints' limits and their margin.
+            OutOfReach: no such angles are found within the joints' limits and their margin.
         """
         largest = POSITION_LIMITS - LIMIT_MARGIN
         if near is None:
@@ -133,15 +134,15 @@ class FingerKinematics:
         return min(found, key=lambda q: float((q - goal) @ _WEIGHTS @ (q - goal)))
 
     def level(self, p_WT: FloatArray, yaw: float, near: FloatArray) -> FloatArray:
-        """Joint angles (7,) with the finger held level, the pins one above the other, and the flange on top.
+        """Joint angles (7,) with the finger level, the pins one above the other, and the flange on top.
 
         Args:
-            p_WT: (3,) where the end of the finger shall be, world, m.
-            yaw: direction in which the finger shall point, rad.
-            near: (7,) angles from which to search, rad: the solution lies close to them.
+            p_WT: (3,) required position of the finger's end, world, m.
+            yaw: required direction of the finger, rad.
+            near: (7,) angles from which to search, rad: the solution is close to them.
 
         Raises:
-            OutOfReach: the search finds none within the joints' limits and their margin.
+            OutOfReach: no such angles are found within the joints' limits and their margin.
         """
         ahead, down = _ahead(yaw), np.array([0.0, 0.0, -1.0])
         q = None
@@ -155,7 +156,7 @@ class FingerKinematics:
         return q
 
     def _arm_spans(self, p_WWrist: FloatArray) -> bool:
-        """Whether the wrist can be there with some bend of the elbow; a search takes long to say no."""
+        """Whether the wrist can be there with some bend of the elbow; a failing search would take long."""
         distance = np.linalg.norm(p_WWrist - self._p_WShoulder)
         return bool(distance <= self._upper_arm + self._forearm)
 
@@ -176,7 +177,7 @@ class FingerKinematics:
     def _search(
         self, points: list[_Held], start: FloatArray, goal: FloatArray, largest: FloatArray
     ) -> FloatArray | None:
-        """Of the angles within ±`largest` those nearest to the goal; None if the search finds none."""
+        """The angles within ±`largest` that are nearest to the goal; None if none are found."""
         problem = InverseKinematics(self.model, self._context, with_joint_limits=False)
         world, q = self.model.world_frame(), problem.q()
         for p_T, p_W, slack in points:
@@ -189,18 +190,18 @@ class FingerKinematics:
         return np.asarray(result.GetSolution(q)) if result.is_success() else None
 
 
-_Held = tuple[FloatArray, FloatArray, FloatArray]  # a point (3,) in T, where in the world, and slack there, m
+_Held = tuple[FloatArray, FloatArray, FloatArray]  # a point (3,) in T, its place in the world, and slack, m
 _EXACT = np.full(3, _TOLERANCE)
 
 
 def _pointing_down(p_WT: FloatArray) -> list[_Held]:
-    """The finger is vertical when a second point of its axis is above its end."""
+    """Constraints for a vertical finger: its end, and a second point of its axis above it."""
     up = np.array([0.0, 0.0, FINGER_LENGTH])
     return [(np.zeros(3), p_WT, _EXACT), (-up, p_WT + up, np.array([_TOLERANCE, _TOLERANCE, FINGER_LENGTH]))]
 
 
 def _turned(p_WT: FloatArray, yaw: float) -> _Held:
-    """The wrist's side of the finger."""
+    """A constraint on the side of the finger where the wrist is."""
     behind = FINGER_LENGTH * _ahead(yaw)
     return np.array([0.0, -FINGER_LENGTH, 0.0]), p_WT - behind, np.full(3, 0.1 * FINGER_LENGTH)
 
@@ -226,12 +227,13 @@ _TORQUE_NOISE, _MOMENT_SPREAD = 0.1, 0.5
 def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
     """Force (3,) of the finger on the object, world, N.
 
-    The torques are Jᵀ times the wrench on the finger. How high the object touches the finger is not known, so
-    a moment about its end is estimated along with the force, under a Gaussian prior of mean zero.
+    The torques are Jᵀ times the wrench on the finger. The height at which the object touches the finger is
+    unknown, so a moment about its end is estimated along with the force, with a zero-mean Gaussian prior.
 
-    In simulated pushes of a 1 kg box (5 N) at 0.1 m/s the estimate is the plant's contact force within 0.1 N
-    on average and 0.3 to 0.6 N (rms) in each sample, at steps of 1 to 5 ms: the driver smooths the torques
-    over 10 ms. The blow of first touch, up to 80 N for a step or two, comes out smoothed likewise.
+    In simulated pushes of a 1 kg box (5 N) at 0.1 m/s, the estimate agrees with the plant's contact force
+    within 0.1 N on average and 0.3 to 0.6 N (rms) per sample, at steps of 1 to 5 ms, because the driver
+    smooths the torques over 10 ms. The impact of first touch, up to 80 N for one or two steps, is smoothed
+    likewise.
 
     Args:
         jacobian: (6, 7) angular, then linear velocity of the finger's end per joint speed, world.
@@ -244,15 +246,15 @@ def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
 
 
 Posture = Callable[[FloatArray, FloatArray], FloatArray]
-"""Joint angles (7,) for the finger's end at a point (3,) that lie close to given ones (7,), or OutOfReach."""
+"""Joint angles (7,) for the finger's end at a point (3,) that are close to given ones (7,), or OutOfReach."""
 
-_SPEED_SHARE, _ACCELERATION_SHARE = 0.9, 0.6  # of the joints' limits, that motions use
+_SPEED_SHARE, _ACCELERATION_SHARE = 0.9, 0.6  # of the joints' limits, used by motions
 _MINIMUM_JERK = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # Flash and Hogan 1985
 
-# m between the points of a line at which the joint angles are computed; a spline joins them. The finer is
-# tried where the joints have to turn fast, as they do beside their limits.
+# m between the points of a line at which the joint angles are computed; a spline joins them. The finer
+# spacing is tried if the joints must turn fast, as near their limits.
 _KNOT_DISTANCES = (0.01, 0.0025)
-_LARGEST_STEP = 0.2  # rad, of a joint between two of them; more would be another way of reaching the point
+_LARGEST_STEP = 0.2  # rad, of a joint between two of them; more means another branch of solutions
 
 
 def joint_path(knots: FloatArray) -> PiecewisePolynomial:
@@ -270,9 +272,9 @@ def joint_path(knots: FloatArray) -> PiecewisePolynomial:
 
 
 def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> Trajectory:
-    """Along a path from rest to rest with the minimum-jerk profile, as fast as joints and finger may.
+    """Time a path from rest to rest with a minimum-jerk profile, as fast as joints and finger are allowed.
 
-    With s(t) = σ(t/T), speeds are q'σ'/T and accelerations (q''σ'² + q'σ'')/T²: this gives the shortest T.
+    With s(t) = σ(t/T), speeds are q'σ'/T and accelerations (q''σ'² + q'σ'')/T², which gives the shortest T.
 
     Args:
         path: of 7 joint angles over [0, 1], rad.
@@ -294,10 +296,10 @@ def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> 
 
 
 def paced(path: Trajectory, pace: Pace, rest: float) -> Trajectory:
-    """Along a path over [0, 1] at a given pace, then a rest.
+    """Time a path over [0, 1] at a given pace, followed by a rest.
 
     Args:
-        path: of 7 joint angles, rad; equal steps of its parameter are equal ways of the finger.
+        path: of 7 joint angles, rad; equal steps of its parameter are equal distances of the finger.
         pace: of the finger.
         rest: time at the end, s.
     """
@@ -311,11 +313,11 @@ def paced(path: Trajectory, pace: Pace, rest: float) -> Trajectory:
 
 
 def braking(q: FloatArray, speed: FloatArray) -> Trajectory:
-    """From motion to rest with constant accelerations of the joints, within their limits.
+    """Motion to rest with constant accelerations of the joints, within their limits.
 
     Args:
-        q: (7,) joint angles at the begin, rad.
-        speed: (7,) joint speeds at the begin, rad/s.
+        q: (7,) joint angles at the start, rad.
+        speed: (7,) joint speeds at the start, rad/s.
     """
     duration = max(float((np.abs(speed) / (_ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()), 0.01)
     return PiecewisePolynomial.CubicHermite(
@@ -331,34 +333,35 @@ class Phase:
 
     mode: str  # see `ExecutionStatus`
     trajectory: Trajectory  # joint angles (7,), rad, over time from 0, s
-    opening: float = 0.0  # of the gripper that is asked for at the end, m
-    opening_before: float = 0.0  # the same at the begin, from where it moves evenly, m
+    opening: float = 0.0  # commanded opening of the gripper at the end, m
+    opening_before: float = 0.0  # the same at the start; it changes linearly in between, m
     force: float = GRIP_FORCE / 2  # largest force of a pin, N
 
     @cached_property
     def duration(self) -> float:
-        """In s."""
+        """Duration, s."""
         return float(self.trajectory.end_time())
 
     def opening_at(self, time: float) -> float:
-        """Opening that is asked for at a time since the phase's begin (s), m."""
+        """Commanded opening at a time since the start of the phase (s), m."""
         share = min(time / self.duration, 1.0)
         return (1.0 - share) * self.opening_before + share * self.opening
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Phases one after the other, from rest to rest."""
+    """Phases one after another, from rest to rest."""
 
     phases: tuple[Phase, ...]
 
     @cached_property
     def duration(self) -> float:
-        """In s."""
+        """Duration, s."""
         return sum(phase.duration for phase in self.phases)
 
     def phase(self, time: float) -> tuple[Phase, float]:
-        """The phase at a time since the plan's begin, s, and the time since its own; the last one lasts."""
+        """The phase at a time since the start of the plan, s, and the time since its own start; at the end,
+        the last one."""
         for phase in self.phases:
             if time < phase.duration:
                 break
@@ -368,27 +371,27 @@ class Plan:
         return phase, max(time, 0.0)
 
     def at(self, time: float) -> tuple[str, FloatArray]:
-        """Mode and joint angles (7,) at a time since the plan's begin, s; rests at both ends."""
+        """Mode and joint angles (7,) at a time since the start of the plan, s; at rest outside it."""
         phase, since = self.phase(time)
         return phase.mode, phase.trajectory.value(since)[:, 0]
 
     def motion(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Joint angles (7,) rad and speeds (7,) rad/s at a time since the plan's begin, s."""
+        """Joint angles (7,) rad and speeds (7,) rad/s at a time since the start of the plan, s."""
         step = 1e-4
         q = self.at(time)[1]
         return q, (self.at(time + step)[1] - q) / step
 
 
 def follow(posture: Posture, first: FloatArray, last: FloatArray, start: FloatArray) -> FloatArray:
-    """Joint angles (m, 7) of the finger's end at points (3,) of a line, evenly spaced.
+    """Joint angles (m, 7) for the finger's end at evenly spaced points (3,) of a line.
 
     Args:
-        posture: how the finger is held at a point.
+        posture: joint angles for the finger at a point.
         first, last: (3,) ends of the line, m.
         start: (7,) joint angles at its first end, rad.
 
     Raises:
-        MotionRefused: a point is out of reach, or only with a leap of the joints.
+        MotionRefused: a point is out of reach, or reached only with a jump of the joints.
     """
     for distance in _KNOT_DISTANCES:
         try:
@@ -411,7 +414,7 @@ def _knots(
         if leap.max() > _LARGEST_STEP:
             k = int(np.argmax(leap))
             raise MotionRefused(
-                f"at ({point[0]:.3f}, {point[1]:.3f}) m {ARM_JOINTS[k]} would have to leap by "
+                f"at ({point[0]:.3f}, {point[1]:.3f}) m {ARM_JOINTS[k]} would have to jump by "
                 f"{np.rad2deg(leap[k]):.0f} degrees"
             )
         knots.append(q)
@@ -428,8 +431,8 @@ def check_joints(motion: Trajectory) -> None:
     derivative, second = motion.MakeDerivative(), motion.MakeDerivative(2)
     for what, values, limits, unit in (
         ("turn to", motion.vector_values(times), POSITION_LIMITS, "degrees"),
-        ("turn at", derivative.vector_values(times), _SPEED_SHARE * SPEED_LIMITS, "degrees a second"),
-        ("speed up by", second.vector_values(times), ACCELERATION_LIMITS, "degrees a second squared"),
+        ("turn at", derivative.vector_values(times), _SPEED_SHARE * SPEED_LIMITS, "degrees per second"),
+        ("speed up by", second.vector_values(times), ACCELERATION_LIMITS, "degrees per second squared"),
     ):
         largest = np.abs(values).max(axis=1)
         k = int(np.argmax(largest / limits))
@@ -443,19 +446,19 @@ def check_joints(motion: Trajectory) -> None:
 def find_way(
     start: FloatArray, goal: FloatArray, is_clear: Callable[[FloatArray], bool], what: str
 ) -> FloatArray:
-    """Corners (m, 7) of a polygon of joint angles from start to goal, both included, by RRT-Connect.
+    """Vertices (m, 7) of a polyline of joint angles from start to goal, both included, by RRT-Connect.
 
     Args:
         start, goal: (7,) rad.
         is_clear: whether the arm may be at a posture (7,), rad.
-        what: the way, for the message.
+        what: description of the path, for the message.
 
     Raises:
         MotionRefused: none is found, or an end is not clear.
     """
     for q in (start, goal):
         if not is_clear(q):
-            raise MotionRefused(f"no way {what}: the arm would be too close to something at its end")
+            raise MotionRefused(f"no path {what}: the arm would be too close to something at one end")
     space = base.RealVectorStateSpace(7)
     bounds = base.RealVectorBounds(7)
     for k, limit in enumerate(POSITION_LIMITS):
@@ -466,7 +469,7 @@ def find_way(
     util.RNG.setSeed(7)
     information = base.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: is_clear(_posture(state)))
-    # Between the postures that are looked at: 0.06 rad, norm over all joints.
+    # Postures are checked every 0.06 rad, norm over all joints.
     information.setStateValidityCheckingResolution(0.06 / space.getMaximumExtent())
     information.setup()
     ends = [space.allocState() for _ in range(2)]
@@ -483,7 +486,7 @@ def find_way(
     left = iter(range(500))
     setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
     if not setup.haveExactSolutionPath():
-        raise MotionRefused(f"no way {what} was found around table, stand and object")
+        raise MotionRefused(f"no path {what} was found around table, stand and object")
     path = setup.getSolutionPath()
     simplifier = geometric.PathSimplifier(information)
     simplifier.reduceVertices(path)

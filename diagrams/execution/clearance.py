@@ -1,6 +1,6 @@
-"""How far the arm is from what it must not touch: table, stand, object and itself.
+"""Distances of the arm from what it must not touch: table, stand, object and itself.
 
-`ArmClearance` covers the arm by balls; `Surroundings` refuses pushes that come too near to something.
+`ArmClearance` covers the arm with balls; `Surroundings` refuses pushes that come too close to something.
 """
 
 from dataclasses import dataclass
@@ -21,22 +21,22 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.table_push import TablePush
 
 APART = 0.005
-"""Distance that the arm keeps from table and object, but for the finger while it is low, m."""
+"""Distance that the arm keeps from table and object, except for the finger while it is low, m."""
 
-_BALLS_APART = 0.5  # along a shape, in its radii
-_FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # what hand and forearm could hit of the arm itself
+_BALLS_APART = 0.5  # spacing along a shape, in its radii
+_FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # links that hand and forearm could hit
 _NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those
-_FAR = 0.05  # m, from which on it does not matter how far
-_FINGER = ("left_finger", "right_finger")  # closed, they are the finger that pushes
-_EVERY = 0.08  # s between the postures of a push that are looked at
+_FAR = 0.05  # m; larger distances need not be known
+_FINGER = ("left_finger", "right_finger")  # closed, they form the finger that pushes
+_EVERY = 0.08  # s between the postures of a push that are checked
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """The object as upright boxes, one a cell.
+    """The object as upright boxes, one per cell.
 
     Raises:
-        ValueError: a height or a pose that is no number, which would be as far away as can be.
+        ValueError: a height or a pose that is not a number, which would seem infinitely far away.
     """
 
     grid: CellGrid
@@ -56,7 +56,7 @@ class Obstacle:
 
 
 class ArmClearance:
-    """Distances of the default arm, covered by balls, from table, stand, itself and an object.
+    """Distances of the default arm, covered with balls, from table, stand, itself and an object.
 
     Args:
         table: whose top is at z = 0.
@@ -90,11 +90,11 @@ class ArmClearance:
     def of(
         self, q: FloatArray, opening: float, obstacle: Obstacle | None = None, *, holding: bool = False
     ) -> float:
-        """Smallest distance at joint angles (7,), rad, and an opening of the gripper, m; negative inside.
+        """Smallest distance at joint angles (7,), rad, and an opening of the gripper, m; negative if inside.
 
         Args:
             obstacle: the object, if it counts.
-            holding: the gripper may be at the object.
+            holding: whether the gripper may touch the object.
         """
         moving, centers = ~self._fixed, self.centers(q, opening)
         near = moving & ~self._gripper if holding else moving
@@ -106,13 +106,13 @@ class ArmClearance:
     def of_pushing(
         self, postures: FloatArray, obstacle: Obstacle | None, moved: FloatArray, *, low: bool
     ) -> float:
-        """The same over several postures with the gripper closed.
+        """Smallest distance over several postures with the gripper closed, m.
 
         Args:
             postures: (n, 7) joint angles, rad.
-            obstacle: the object where it lay at first, if it counts.
-            moved: (n, 2) how far it may have been moved from there, m; it may also not have been.
-            low: the finger may be at table and object.
+            obstacle: the object at its initial pose, if it counts.
+            moved: (n, 2) displacement that it may have undergone since, m; it may also not have moved.
+            low: whether the finger may touch table and object.
         """
         counted = ~self._fixed & ~self._finger if low else ~self._fixed
         centers = np.array([self.centers(q, 0.0) for q in postures])
@@ -127,7 +127,7 @@ class ArmClearance:
         return least
 
     def _from_surroundings(self, centers: FloatArray, moving: NDArray[np.bool_]) -> float:
-        """Of what moves from table, stand and the arm's own base; centres are (..., B, 3)."""
+        """Smallest distance of the moving parts from table, stand and base; centres are (..., B, 3)."""
         free = self._free & moving
         points, radii = centers[..., moving, :], self._radii[moving]
         apart = np.linalg.norm(centers[..., free, None, :] - centers[..., None, self._fixed, :], axis=-1)
@@ -152,7 +152,7 @@ class ArmClearance:
 
 
 def _box_distance(outside: FloatArray) -> FloatArray:
-    """(...) signed distance from signed distances (..., d) to the slabs that make up a box."""
+    """(...) signed distance from a box, given signed distances (..., d) from the slabs that form it."""
     return np.asarray(
         np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0)
     )
@@ -178,7 +178,7 @@ def _balls(
 
 
 def _along(shape: Shape) -> FloatArray:
-    """Where on the shape's z balls of its radius lie."""
+    """Positions along the shape's z axis of balls with its radius."""
     if isinstance(shape, Sphere):
         return np.zeros(1)
     if isinstance(shape, Capsule):
@@ -186,7 +186,7 @@ def _along(shape: Shape) -> FloatArray:
     elif isinstance(shape, Cylinder):
         half = max(shape.length() / 2 - shape.radius(), 0.0)
     else:
-        raise ValueError(f"arm clearance: a {type(shape).__name__} among the arm's collision shapes")
+        raise ValueError(f"arm clearance: the collision shape {type(shape).__name__} is not supported")
     return np.linspace(-half, half, max(int(np.ceil(2 * half / (_BALLS_APART * shape.radius()))) + 1, 1))
 
 
@@ -198,12 +198,13 @@ class Surroundings:
     obstacle: Obstacle | None = None  # the object where it lies before the push; None if there is none
 
     def check(self, plan: Plan, push: TablePush) -> None:
-        """Refuse a push during which the arm comes too near to something.
+        """Refuse a push during which the arm comes too close to something.
 
-        While it is pushed the object is taken to lie where it lay, and as far from there as the finger came.
+        During the push, the object is checked both at its initial place and displaced as far as the finger
+        moved.
 
         Raises:
-            MotionRefused: how near, and when.
+            MotionRefused: with the distance and the phase.
         """
         pushing = [phase.mode for phase in plan.phases].index("pushing")
         for number, phase in enumerate(plan.phases):
@@ -218,5 +219,5 @@ class Surroundings:
             if distance < APART:
                 raise MotionRefused(
                     f"while {phase.mode} the arm would come as near as {1e3 * distance:.0f} mm to the object,"
-                    f" the table or itself, of which {1e3 * APART:.0f} mm are kept"
+                    f" the table or itself; it must keep {1e3 * APART:.0f} mm"
                 )

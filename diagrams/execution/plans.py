@@ -1,4 +1,4 @@
-"""The arm's motions for a push, a grasp at the table's edge and the way home, planned before they begin."""
+"""The arm's motions for a push, a grasp at the table's edge and the way home, planned before they start."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,30 +31,30 @@ from slipmap.models.robots import FINGER_RADIUS, GRIP_FORCE, POSITION_LIMITS
 from slipmap.planners.table_push import TablePush
 
 CLEAR = 0.01
-"""Distance that the arm keeps on its way to the object, m."""
+"""Distance that the arm keeps from everything on its way to the object, m."""
 CLOSE = 0.003
-"""Distance that the open gripper keeps from the table, and the arm from the object, while it grasps, m."""
+"""Distance that the open gripper keeps from the table, and the arm from the object, during a grasp, m."""
 LIFT = 0.10
 """Height to which the object is lifted, m."""
 
 ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
-"""(7,) rad; times one of `_ARCHES` and added to the middle of the way to or from a push, lifts the finger."""
+"""(7,) rad; scaled by one of `_ARCHES` and added half-way to or from a push, it raises the finger."""
 TURNS = np.deg2rad([-30.0, -60.0, -90.0, 30.0, 120.0, -120.0, 60.0, 90.0])
-"""Of the hand about the finger, which are tried where the arm would come too near to something, rad."""
+"""Rotations of the hand about the finger that are tried if the arm would come too close to something, rad."""
 
 _ARCHES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
-_SAG = 0.02  # m by which the gripper may be lower than the safe height between home and push
+_SAG = 0.02  # m by which the gripper may drop below the safe height between home and push
 
 # The finger's end, both ends of the hand, and the wrist: (3, 4) in T and (4,) radii, m.
 _LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16], [0.0, -0.226, -0.158]]).T
 _LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
 
-# m and m/s by which the finger goes back before it is lifted. One that still presses on the object can drag
-# it up and away: with fingers that gave way, a box by 3 to 23 mm.
+# Distance (m) and speed (m/s) of the finger's retreat before it is lifted. A finger that still presses on the
+# object can drag it up and away: with compliant fingers, a box by 3 to 23 mm.
 _RELEASE, _RELEASE_SPEED = 0.005, 0.05
 
-_REST = 0.5  # s, after which the arm stays where it is
-_BACK = (0.06, 0.09, 0.12, 0.16, 0.2)  # m, by which the gripper may stand back before it comes in
+_REST = 0.5  # s; duration of the final phase, after which the arm stays in place
+_BACK = (0.06, 0.09, 0.12, 0.16, 0.2)  # m; distances from the object from which the gripper may come in
 _SEARCHES = np.random.default_rng(11).uniform(-0.8, 0.8, (24, 7)) * POSITION_LIMITS
 
 _Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
@@ -70,21 +70,23 @@ class ArmPlanner:
     home: FloatArray  # (7,) joint angles at which it rests between pushes, rad
 
     def push(self, push: TablePush, q: FloatArray, surroundings: Surroundings | None = None) -> Plan:
-        """Approach, lower, push, rest, go back a little, lift and return home.
+        """Plan a push: approach, lower, push, rest, retreat slightly, lift and return home.
 
-        From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s,
-        as 60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder.
-        Planning takes 50 ms, with surroundings 70, and up to 0.6 s where the hand must be turned, about the
-        finger, where the arm would come too near to what is around it: the forearm, whose lower side is 6
-        to 9 cm above the table, then leans to another side.
+        From `default_arm_base`, 60 of 60 random pushes between points within 0.36 m of W's origin can be made
+        at 0.1 m/s, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning takes 50 ms,
+        with surroundings 70 ms, and up to 0.6 s if the hand must be rotated about the finger because the arm
+        would come
+        too close to its surroundings: the forearm, whose lower side is 6 to 9 cm above the table, then leans
+        to another side.
 
         Args:
-            q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
+            q: (7,) joint angles at which the arm rests now, rad, with the finger above everything on the
+                table.
             surroundings: what the arm keeps away from; nothing if None.
 
         Raises:
             MotionRefused: a point out of reach, a joint limit in the way, too fast for a joint or the finger,
-                or too near to the object, the table or the arm itself.
+                or too close to the object, the table or the arm itself.
         """
         limit = self.config.push_speed_limit
         if push.speed > limit:
@@ -111,7 +113,7 @@ class ArmPlanner:
         raise too_near
 
     def retreat(self, q: FloatArray, speed: FloatArray) -> Plan:
-        """Stop, lift the finger if it is low, and go home.
+        """Plan to stop, lift the finger if it is low, and go home.
 
         Args:
             q: (7,) joint angles now, rad.
@@ -126,7 +128,7 @@ class ArmPlanner:
                     self.kinematics.inverse, tip, np.array([tip[0], tip[1], self.config.safe_height]), q
                 )
             except MotionRefused:
-                pass  # not pointing down, or at the edge of the reach: the way home lifts it as well
+                pass  # not pointing down, or at the edge of the reach: the way home raises it anyway
             else:
                 up[0] = q
                 phases.append(self._along(up, self.config.lowering_speed))
@@ -136,13 +138,13 @@ class ArmPlanner:
         return Plan(tuple(Phase("retreating", phase) for phase in phases))
 
     def grasp(self, clearance: ArmClearance, grasp: ActiveGrasp, q: FloatArray) -> Plan:
-        """Reach around to a place outside the table, come in level with the pins open, close, lift, and hold.
+        """Plan a grasp: reach around the table, come in level with open pins, close, lift, and hold.
 
         Args:
-            q: (7,) where the arm rests now, rad.
+            q: (7,) joint angles at which the arm rests now, rad.
 
         Raises:
-            MotionRefused: the hand cannot be held there, or there is no way to it. The text says why.
+            MotionRefused: the hand cannot be held there, or no path to it is found. The text says why.
         """
         place = _GraspPlace(self.kinematics, clearance, grasp)
         opening = grasp.grasp.opening
@@ -200,7 +202,7 @@ class ArmPlanner:
     ) -> tuple[FloatArray, Trajectory]:
         """Joint angles (m, 7) along the line, and the motion along it.
 
-        The posture that suits one end best need not last to the other, so both are tried.
+        The best posture at one end may not be possible up to the other, so both ends are tried as the start.
         """
         refusals = []
         for first, last, order in ((begin, end, 1), (end, begin, -1)):
@@ -228,7 +230,8 @@ class ArmPlanner:
         return smooth(joint_path(knots), self.kinematics, tip_speed)
 
     def _arch(self, q: FloatArray, goal: FloatArray) -> tuple[Trajectory, float]:
-        """The flattest arch between two postures that is high enough, else the highest; its lowest point."""
+        """The flattest arch between two postures that is high enough, else the highest one, and its lowest
+        point."""
         highest: tuple[Trajectory, float] | None = None
         for share in _ARCHES:
             knots = np.column_stack([q, (q + goal) / 2.0 + share * ARCH, goal])
@@ -246,7 +249,7 @@ class ArmPlanner:
 
 
 class _GraspPlace:
-    """Where the gripper grasps, and the ways there."""
+    """The gripper's place at a grasp, and the paths to it."""
 
     def __init__(self, kinematics: FingerKinematics, clearance: ArmClearance, grasp: ActiveGrasp) -> None:
         self._kinematics, self._clearance, self._grasp = kinematics, clearance, grasp.grasp
@@ -255,7 +258,7 @@ class _GraspPlace:
         self.tip = np.array(tip)
 
     def postures(self, q: FloatArray) -> Iterator[FloatArray]:
-        """Ways (7,) to hold the gripper at the object, as they are found, the first search from q (7,)."""
+        """Joint angles (7,) for the gripper at the object, as found; the first search starts at q."""
         found: list[FloatArray] = []
         for start in (q, *_SEARCHES):
             try:
@@ -267,7 +270,7 @@ class _GraspPlace:
                 yield posture
 
     def lines(self, posture: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Joint angles (m, 7) of the straight ways in, from where the open gripper is clear, and up.
+        """Joint angles (m, 7) of the straight paths in, from where the open gripper is clear, and up.
 
         Raises:
             MotionRefused: out of reach, or too close to something.
@@ -279,7 +282,7 @@ class _GraspPlace:
                 break
         else:
             raise MotionRefused(
-                f"{1e3 * _BACK[-1]:.0f} mm back from the object the open gripper is still at it"
+                f"the open gripper still touches the object {1e3 * _BACK[-1]:.0f} mm back from it"
             )
         self._check(comes, self._grasp.opening, "coming in")
         lifts = follow(self._level, self.tip, self.tip + np.array([0.0, 0.0, LIFT]), posture)
@@ -301,9 +304,9 @@ def _still(q: FloatArray, duration: float) -> Trajectory:
 
 @dataclass(frozen=True)
 class ArmChecks:
-    """Whether the arm can make a push, or a grasp.
+    """Checks whether the arm can make a push or a grasp.
 
-    It can be sent to another process: models of the arm are built where they are first needed, and kept.
+    It can be sent to another process: models of the arm are built on first use and cached.
     """
 
     models: str  # a key of `ARM_MODELS`
@@ -311,7 +314,7 @@ class ArmChecks:
     config: ExecutionConfig
 
     def can_push(self, obstacle: Obstacle, push: TablePush) -> bool:
-        """Whether the arm can make a push of an object, and come home."""
+        """Whether the arm can push an object and return home."""
         planner = ArmPlanner(_kinematics(self.models), self.config, HOME)
         try:
             planner.push(push, HOME, Surroundings(_clearance(self.table), obstacle))
@@ -320,7 +323,7 @@ class ArmChecks:
         return True
 
     def can_grasp(self, grasp: ActiveGrasp) -> bool:
-        """Whether the gripper can come in straight and lift there; a way from home is not looked for."""
+        """Whether the gripper can come in straight and lift there; the path from home is not checked."""
         place = _GraspPlace(_kinematics(self.models), _clearance(self.table), grasp)
         for posture in place.postures(HOME):
             try:

@@ -1,4 +1,4 @@
-"""The block that makes the arm push, and grasp at the table's edge, and the one that watches the object."""
+"""The block that makes the arm push and grasp at the table's edge, and the block that watches the object."""
 
 from dataclasses import dataclass, replace
 
@@ -26,59 +26,60 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
 PERIOD = 0.02
-"""s between two looks at the inputs."""
+"""s between two checks of the inputs."""
 
 CLOSED = 0.005
-"""Opening up to which the gripper is one round finger, m."""
+"""Largest opening at which the gripper counts as one round finger, m."""
 
 TIMES = 3
-"""Pictures in a row that have to show that the object was moved."""
+"""Consecutive pictures that must show that the object was moved."""
 
 MOVED, TURNED = 0.01, 0.15
-"""m and rad beyond which it is not the tracker that errs."""
+"""m and rad by which the object must have moved; the tracker's errors are smaller."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
-    """What the arm is at."""
+    """State of the executor."""
 
-    status: ExecutionStatus  # while the plan runs, its phases say the mode
-    plan: Plan | None = None  # the motion under way, or the last one
-    begin: float = 0.0  # time when it began, s
+    status: ExecutionStatus  # while the plan runs, its phases give the mode
+    plan: Plan | None = None  # the present or last motion
+    begin: float = 0.0  # its start time, s
     aborted: bool = False  # whether it is the way home after an abort
     stopped: float = np.inf  # time when a fault ended it, s; else infinite
-    last: str = "home"  # mode once the plan is over, but for a grasp
+    last: str = "home"  # mode after the plan, except for a grasp
 
     def running(self, time: float) -> bool:
         return self.plan is not None and time < self.begin + self.plan.duration
 
     def since(self, time: float) -> float:
-        """s from the begin of the plan; they end with a fault."""
+        """Time since the start of the plan, up to any fault, s."""
         return min(time, self.stopped) - self.begin
 
 
 class PushExecutor(PythonSystem):
-    """Plans and makes pushes and grasps one at a time; says where the finger is and what force it exerts.
+    """Plans and executes pushes and grasps one at a time, and outputs the finger's pose and force.
 
     Input ports:
 
     - `push`: `ActivePush | None`; a new number starts a push once the arm is home.
-    - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
+    - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, from contact forces on the arm.
 
-    Input ports that need not be connected:
+    Optional input ports:
 
     - `grasp`: `ActiveGrasp | None`; a new number starts a grasp once the arm is home. It ends in `holding`:
-      nothing is put down, and nothing is done after it.
-    - `abort`: bool; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
-    - `moved`: str of an `ObjectWatch`; where it is not empty on the way to a push, the arm goes home and the
+      the object is not put down, and nothing is done after it.
+    - `abort`: bool; True stops a push, lifts the finger and brings the arm home. A grasp continues.
+    - `moved`: str from an `ObjectWatch`; if it is not empty on the way to a push, the arm goes home and the
       push counts as refused for that reason.
-    - `health`: `Health` of a `CommandGuard`. Nothing is planned while the guard waits for the arm. When it
+    - `health`: `Health` from a `CommandGuard`. Nothing is planned while the guard waits for the arm. When it
       has stopped the arm, the push or grasp ends in `stopped` with the guard's reason; arm and gripper stay
-      as they are, and nothing is done after it.
-    - `gripper.state_measured` (2,) opening and its rate, m and m/s; a gripper that does not close for a push
-      ends in `stopped`, too.
-    - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`: what the arm, but for the finger,
-      keeps away from while it pushes, as from the table. They refuse a push of what is not seen.
+      in place, and nothing is done after it.
+    - `gripper.state_measured` (2,) opening and its rate, m and m/s; if the gripper does not close for a push,
+      it also ends in `stopped`.
+    - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`: during a push the arm, except the
+      finger, keeps away from the object as it does from the table. If they are connected, a push of an object
+      that is not seen is refused.
 
     Output ports:
 
@@ -87,16 +88,16 @@ class PushExecutor(PythonSystem):
     - `tip_pose`: `RigidTransform` X_WT at the measured joint angles; `tip_force` (3,) N, of the finger on the
       object, in the world; `status`: `ExecutionStatus`.
 
-    With the drivers of `add_arm_drivers` the finger keeps within 0.5 mm of where it shall be while it pushes
-    a box of up to 3 kg (15 N) at up to 0.1 m/s, at simulation steps of 1 to 5 ms.
+    With the drivers of `add_arm_drivers` the finger stays within 0.5 mm of its commanded position while it
+    pushes a box of up to 3 kg (15 N) at up to 0.1 m/s, at simulation steps of 1 to 5 ms.
 
-    A push or grasp that cannot be made is refused with the reason, and the arm stays where it is. At the
-    start the arm goes home from wherever it is.
+    An impossible push or grasp is refused with the reason, and the arm stays in place. At the start the arm
+    goes home from wherever it is.
 
     Args:
-        model: the arm as `arm_model` makes it.
+        model: the arm, as built by `arm_model`.
         home: (7,) joint angles between pushes, rad.
-        table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
+        table: that the arm keeps away from; if None, it ignores table and object and cannot grasp.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class PushExecutor(PythonSystem):
 
         motion = {self.time_ticket(), self.abstract_state_ticket(self._execution)}
         measured, torque = self._measured.ticket(), self._torque.ticket()
-        # Before the first plan it is where the arm is; to depend on that would double each step's work.
+        # Before the first plan it is the measured position; depending on that would double each step's work.
         self.declare_vector_output("iiwa.position", 7, self._position, motion)
         self.declare_vector_output("gripper.position", 1, self._opening, motion)
         self.declare_vector_output("gripper.force_limit", 1, self._force, motion)
@@ -174,7 +175,7 @@ class PushExecutor(PythonSystem):
                 around = Surroundings(self._clearance, self._obstacle(context))
             return self._planner.push(request.push, q, around)
         if self._clearance is None:
-            raise MotionRefused("the executor was made without a table at whose edge it could grasp")
+            raise MotionRefused("the executor was built without a table, so it cannot grasp at its edge")
         return self._planner.grasp(self._clearance, request, q)
 
     def _obstacle(self, context: Context) -> Obstacle | None:
@@ -183,9 +184,7 @@ class PushExecutor(PythonSystem):
         pose: ObservedPose = self.input(context, "object_pose")
         seen: SeenObject | None = self.input(context, "seen_object")
         if seen is None or not pose.valid:
-            raise MotionRefused(
-                f"where the object lies is not known, so that the arm might hit it: {pose.reason}"
-            )
+            raise MotionRefused(f"the object's pose is not known, so the arm might hit it: {pose.reason}")
         return Obstacle(seen.grid, seen.cell_heights, pose.pose)
 
     def _aborted(self, now: _Execution, time: float) -> _Execution:
@@ -200,9 +199,9 @@ class PushExecutor(PythonSystem):
     def _not_closed(self, now: _Execution, time: float, push_id: int, opening: float) -> _Execution:
         assert now.plan is not None
         if time < now.begin + now.plan.duration + self._config.closing:
-            return now  # it may be on its way
+            return now  # it may still be closing
         reason = (
-            f"the gripper does not close: it is open by {1e3 * opening:.0f} mm; see whether it is stuck or "
+            f"the gripper does not close: it is open by {1e3 * opening:.0f} mm; check whether it is stuck or "
             "switched off, then start again"
         )
         return replace(now, status=ExecutionStatus("stopped", push_id, reason), stopped=time)
@@ -246,7 +245,7 @@ class PushExecutor(PythonSystem):
 
 @dataclass(frozen=True, eq=False)
 class _Aim:
-    """State: where the object lay when the arm set out, and what was seen since."""
+    """State: the object's pose when the arm set out, and observations since."""
 
     pose: FloatArray | None = None
     strayed: int = 0
@@ -255,11 +254,12 @@ class _Aim:
 
 
 class ObjectWatch(PythonSystem):
-    """Has the executor give up a push whose object something else moved while the arm was on its way to it.
+    """Detects that something else moved the object while the arm was on its way to a push.
 
-    Inputs are `object_pose`, an `ObservedPose`, and `execution`, an `ExecutionStatus`. The output `moved` is
-    a str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm set out,
-    until the arm is home; else empty. Only the way to the push counts: then the finger pushes.
+    Inputs are `object_pose`, an `ObservedPose`, and `execution`, an `ExecutionStatus`. The output `moved`, a
+    str, is for the executor, which then gives up the push. It states how far the object moved, from when
+    `TIMES` consecutive pictures show it elsewhere than before the arm set out until the arm is home;
+    otherwise it is empty. Only the approach counts, because later the finger itself moves the object.
     """
 
     def __init__(self) -> None:

@@ -1,1 +1,1 @@
-"""The real arm, or its twin in another process, and what keeps it from doing harm."""
+"""The real arm, or its twin in another process, and the guard that keeps it from doing harm."""

@@ -1,8 +1,8 @@
-"""Messages of the cell's channels: what they must be to be believed, and how they come into a diagram.
+"""Validation of the messages on a cell's channels, and their way into a diagram.
 
-Whoever can send to the network can send anything, so nothing of a message is used before it was checked: its
-size, finite numbers, values that a cell can have, and its stamp. Only good messages come through, the others
-are counted.
+Anything on the network can send anything, so no part of a message is used before it has been checked: its
+size, finite numbers, values that a cell can have, and its stamp. Only valid messages pass; the others are
+counted.
 """
 
 import logging
@@ -28,18 +28,18 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
 POSE_COORDINATES = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""Names of the numbers of a `lcmt_drake_signal` that is a pose: metres, then a unit quaternion."""
+"""Names of the numbers in a `lcmt_drake_signal` that is a pose: metres, then a unit quaternion."""
 
 ABORT_COORDINATES = ("abort",)
-"""Name of the number of a `lcmt_drake_signal` that stops the arm where it is above 0.5."""
+"""Name of the number in a `lcmt_drake_signal` that stops the arm if it is above 0.5."""
 
-_LONGEST_LEAP = 600.0  # s by which a stamp may leap ahead; a later one would shut out all true ones
-_RESTART = 1.0  # s; messages of one sender are not mixed up by as much
-_STANDSTILL = 0.01  # s that count at most as silence between two steps: in more this process stood still
-_CLOCKS = 0.5  # s in which the difference of two clocks is followed; where one is slow, ages err by a share
-_ANGLE_SLACK = float(np.deg2rad(10.0))  # over a joint's limit, for measured angles
+_LONGEST_LEAP = 600.0  # s by which a stamp may jump ahead; accepting a later one would block all true ones
+_RESTART = 1.0  # s; messages of one sender are never reordered by as much
+_STANDSTILL = 0.01  # s; longest silence counted per step, as in a longer one this process was suspended
+_CLOCKS = 0.5  # s; time constant for tracking the clock difference; if one clock is slow, ages err by a share
+_ANGLE_SLACK = float(np.deg2rad(10.0))  # beyond a joint's limit, for measured angles
 _COMMAND_SLACK = 1e-3  # rad, for commanded ones
-_FORCE_FACTOR = 5.0  # a blow may exceed what a motor can do
+_FORCE_FACTOR = 5.0  # an impact may exceed what a motor can do
 _SPEED_FACTOR = 3.0
 _OPENINGS = (-30.0, 300.0)  # mm
 _GRIPPER_SPEED = 2000.0  # mm/s
@@ -51,22 +51,22 @@ _log = logging.getLogger("slipmap.hardware")
 
 
 class BadMessage(ValueError):
-    """A message that is not to be used. `str` is the cause, the same for messages bad in the same way."""
+    """A message that must not be used. Its text is the cause, the same for messages bad in the same way."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What messages of a channel must be."""
+    """Requirements on the messages of a channel."""
 
     lcm_type: Any  # generated class of the messages
     stamp: Callable[[Any], int]  # the sender's clock in a message, µs
-    check: Callable[[Any], None]  # raises BadMessage; pictures are packed anew by it
-    # whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose clock
-    # counts from when it began
+    check: Callable[[Any], None]  # raises BadMessage; also repacks pictures
+    # whether a stamp that goes back by more than `_RESTART` means that the sender was restarted, with a clock
+    # that counts from its start
     anew: bool = False
 
     def read(self, data: bytes) -> tuple[Any, float]:
-        """A message that may be believed, but for its stamp, and the stamp, s of the sender's clock.
+        """Decode and check a message, except for its stamp; also returns the stamp, s of the sender's clock.
 
         Raises:
             BadMessage: names the cause.
@@ -84,7 +84,7 @@ class Rule:
 def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
     """Refuse a stamp that cannot follow the last good one, both in s; the last is NaN before the first.
 
-    `anew` is that of the `Rule`.
+    `anew` is the attribute of the `Rule`.
 
     Raises:
         BadMessage: names the cause.
@@ -115,52 +115,53 @@ def rules(width: int, height: int) -> Mapping[str, Rule]:
             drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
         ),
         network.CAMERA_POSE: Rule(drake.lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
-        # Anybody may stop the arm, by whatever clock.
+        # Anybody may stop the arm, whatever their clock.
         network.ABORT: Rule(drake.lcmt_drake_signal, lambda m: 0, _check_abort),
     }
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """State: the newest good message and what was wrong with others."""
+    """State: the newest good message, and counts of good and bad ones."""
 
-    data: bytes = b""  # of the newest good message, encoded anew; empty before the first
+    data: bytes = b""  # of the newest good message, re-encoded; empty before the first
     stamp: float = np.nan  # the sender's clock in it, s
-    # what the clock of the diagram shows more than the sender's where messages just come, s
+    # the diagram's clock minus the sender's when messages arrive, s
     offset: float = -np.inf
     good: int = 0  # number of good messages
-    # number of bad ones by their cause
+    # number of bad ones, by cause
     dropped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    silence: float = 0.0  # s of this computer's clock since a good one was found here
-    looked: float = np.nan  # what that clock showed then, s
+    silence: float = 0.0  # time since a good one was found, by this computer's clock, s
+    looked: float = np.nan  # that clock's reading at the last update, s
 
 
 class CheckedMessages(PythonSystem):
-    """Lets good messages of a channel through, and warns of others.
+    """Passes valid messages of a channel and warns about others.
 
-    `hear` takes what comes, and the next step looks at it. The output ports:
+    `hear` takes incoming messages, and the next step processes them. The output ports:
 
-    - `message`: the newest good message as Drake's own receivers take it, all zero before the first.
+    - `message`: the newest good message for Drake's own receivers, all zero before the first.
     - `stamp` (1,): the sender's clock in it, s, NaN before the first.
-    - `age` (1,): time since it was sent, s, infinite before the first. It comes from the stamp, so that a
-      diagram that was busy for a while and then reads several messages at once is not misled; how far the two
-      clocks are apart, the way of a message included, is followed within 0.5 s. While the diagram's clock
-      is late the age may be negative.
-    - `silence` (1,): s since a good message was found, by this computer's clock: also where the diagram's
-      clock is late. Time in which this process stood still does not count. 0 without a clock.
+    - `age` (1,): time since it was sent, s, infinite before the first. It is computed from the stamp, so it
+      stays right when a busy diagram reads several messages at once. The difference between the two clocks,
+      including the transmission time, is tracked with a time constant of 0.5 s. While the diagram's clock is
+      late, the age may be negative.
+    - `silence` (1,): time since a good message was found, s, by this computer's clock, so it stays right
+      while the diagram's clock is late. Time during which this process was suspended does not count. 0
+      without a clock.
     - `received`: `Received`.
 
-    A warning names channel and cause at the 1st, 10th, 100th … message that is bad in one way. Drake's own
-    subscriber would end the process at a message that cannot be decoded.
+    A warning names channel and cause at the 1st, 10th, 100th … message with the same fault. Drake's own
+    subscriber would end the process on a message that cannot be decoded.
 
     Args:
-        clock: of this computer, s; none in a simulation, which takes the time that it takes.
+        clock: of this computer, s; None in a simulation, which need not keep up with real time.
     """
 
     def __init__(self, channel: str, rule: Rule, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
         self._clock = clock
-        # What was heard and not yet looked at belongs to the network, not to a Context.
+        # Messages not yet processed belong to the network, not to a Context.
         self._heard: deque[tuple[bytes, float] | BadMessage] = deque(maxlen=16)
         self._channel = channel
         self._rule = rule
@@ -177,11 +178,11 @@ class CheckedMessages(PythonSystem):
         self.declare_output_of("received", self._received)
 
     def received(self, context: Context) -> Received:
-        """What came until now, of this system's Context."""
+        """Messages received so far, from this system's Context."""
         return read(context, self._received)
 
     def hear(self, data: bytes) -> None:
-        """Check a message, as received, and keep it for the next step; may be called by another thread."""
+        """Check a received message and keep it for the next step; may be called from another thread."""
         try:
             message, stamp = self._rule.read(data)
         except BadMessage as error:
@@ -190,7 +191,7 @@ class CheckedMessages(PythonSystem):
             self._heard.append((message.encode(), stamp))
 
     def take(self, context: Context) -> Received:
-        """Look at what was heard before the diagram runs; changes the Context, which is of this system."""
+        """Process the messages received before the diagram runs, in this system's Context."""
         now = self._taken(context)
         replace_held(context.get_mutable_state(), self._received, now)
         return now
@@ -249,11 +250,11 @@ class Channels(dict[str, CheckedMessages]):
     """The `CheckedMessages` of some channels, by their names."""
 
     def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
+        """Messages received on each channel so far, and counts of dropped ones."""
         return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in self.items()}
 
     def subscribe(self, lcm: DrakeLcmInterface) -> None:
-        """Have a connection hand them its messages."""
+        """Subscribe them to a connection."""
         for name, system in self.items():
             lcm.Subscribe(name, weakly(system.hear))
 
@@ -277,7 +278,7 @@ def publish(
 ) -> LcmPublisherSystem:
     """Add a publisher of Drake's messages to a channel, named like the channel.
 
-    Where it is given a system of the diagram for the connection, pydrake never frees the diagram.
+    If `lcm` is a system of the diagram, pydrake never frees the diagram.
     """
     serializer = _Serializer_[lcm_type]()
     return builder.AddNamedSystem(
@@ -286,15 +287,15 @@ def publish(
 
 
 class MessagePump(PythonSystem):
-    """Lets a connection call the functions in Python that are subscribed to it, at each step of a diagram.
+    """Makes a connection call its Python subscribers at each step of a diagram.
 
-    In place of Drake's `LcmInterfaceSystem`, which calls them out of `Simulator.AdvanceTo`: pydrake has let
-    go of the interpreter's lock there, and takes memory of Python's for a message before it has the lock
-    again. Where another thread runs Python meanwhile, such as the one that looks at pictures, the process
-    crashes.
+    It replaces Drake's `LcmInterfaceSystem`, which calls them from within `Simulator.AdvanceTo`. There
+    pydrake has released the interpreter lock, and it allocates Python memory for a message before it
+    reacquires the lock. If another thread runs Python at that moment, such as the one that processes
+    pictures, the process crashes.
 
-    To be added before the systems that look at what was heard at each step, for which it then comes at the
-    same step. It has no ports.
+    Add it before the systems that process the messages, so that they get them in the same step. It has no
+    ports.
     """
 
     def __init__(self, lcm: DrakeLcmInterface) -> None:
@@ -313,7 +314,7 @@ def _utime(message: Any) -> int:
 
 def _check_iiwa_status(message: drake.lcmt_iiwa_status) -> None:
     if message.num_joints != 7:
-        raise BadMessage("has not 7 joints")
+        raise BadMessage("does not have 7 joints")
     angles, slack = POSITION_LIMITS, _ANGLE_SLACK
     _check_vector("measured angles", message.joint_position_measured, angles + slack)
     _check_vector("commanded angles", message.joint_position_commanded, angles + slack)
@@ -325,9 +326,9 @@ def _check_iiwa_status(message: drake.lcmt_iiwa_status) -> None:
 
 def _check_iiwa_command(message: drake.lcmt_iiwa_command) -> None:
     if message.num_joints != 7:
-        raise BadMessage("has not 7 joints")
+        raise BadMessage("does not have 7 joints")
     if message.num_torques != 0:
-        raise BadMessage("has torques, and the arm takes angles alone")
+        raise BadMessage("has torques, but the arm only takes angles")
     _check_vector("angles", message.joint_position, POSITION_LIMITS + _COMMAND_SLACK)
 
 
@@ -348,7 +349,7 @@ def _check_pose(message: drake.lcmt_drake_signal) -> None:
     limits = np.array([_FARTHEST] * 3 + [1.0 + 1e-6] * 4)
     _check_vector("pose", message.val, limits)
     if abs(np.linalg.norm(message.val[3:]) - 1.0) > 1e-3:
-        raise BadMessage("quaternion has not the length 1")
+        raise BadMessage("quaternion is not of length 1")
 
 
 def _check_abort(message: drake.lcmt_drake_signal) -> None:
@@ -359,7 +360,7 @@ def _check_abort(message: drake.lcmt_drake_signal) -> None:
 
 def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
     if len(message.images) != 1:
-        raise BadMessage("has not one picture")
+        raise BadMessage("does not have exactly one picture")
     image, (width, height) = message.images[0], size
     if (image.width, image.height) != size:
         raise BadMessage(f"picture is not {width} by {height} pixels")
@@ -369,28 +370,28 @@ def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tup
         raise BadMessage(f"picture is not {'depth in 32 bit floats' if depth else 'RGBA in bytes'}")
     pixels = unpacked(image, 4 * width * height)
     if image.row_stride != 4 * width or len(pixels) != 4 * width * height:
-        raise BadMessage("picture has not as many bytes as its size asks for")
+        raise BadMessage("picture has the wrong number of bytes for its size")
     if depth:
         readings = np.frombuffer(pixels, "<f4")
         finite = readings[np.isfinite(readings)]
-        # 0 is no reading, and infinity one beyond the range.
+        # 0 means no reading, and infinity a reading beyond the range.
         if np.isnan(readings).any() or readings.min() < 0 or finite.max(initial=0.0) > _DEEPEST:
-            raise BadMessage("picture has depths that cannot be")
-    # Drake 1.51 takes a quarter of the pixels of a depth picture that is not packed at all.
+            raise BadMessage("picture has impossible depths")
+    # Drake 1.51 reads only a quarter of the pixels of an uncompressed depth picture.
     image.data = zlib.compress(pixels, 0)
     image.size, image.compression_method = len(image.data), drake.lcmt_image.COMPRESSION_METHOD_ZLIB
 
 
 def unpacked(image: drake.lcmt_image, size: int) -> bytes:
-    """Pixels of a picture; never more than one byte over their proper size, whatever is packed."""
+    """Pixels of a picture, decompressed; never more than one byte beyond `size`, whatever was sent."""
     if image.compression_method == drake.lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
         return bytes(image.data)
     if image.compression_method != drake.lcmt_image.COMPRESSION_METHOD_ZLIB:
-        raise BadMessage("picture is packed in another way than with zlib")
+        raise BadMessage("picture is compressed by something other than zlib")
     try:
         return zlib.decompressobj().decompress(image.data, size + 1)
     except zlib.error as error:
-        raise BadMessage("picture cannot be unpacked") from error
+        raise BadMessage("picture cannot be decompressed") from error
 
 
 def _check_vector(name: str, values: Any, limits: FloatArray) -> None:

@@ -1,6 +1,6 @@
-"""A process beside this one that is fed through a pipe, and ends when the pipe is closed.
+"""A child process that is fed through a pipe and ends when the pipe is closed.
 
-It is started as `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
+Its command line is `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
 """
 
 import os
@@ -17,31 +17,31 @@ _READY = b"ready\n"
 
 
 class Child:
-    """A process that runs a function of ours; as its user ends, so does it.
+    """A process that runs a function of slipmap and ends when its parent does.
 
     Args:
-        what: it is, for messages.
+        what: name of the process, for messages.
         function: of a module; it calls `be_ready`, and ends when its standard input does.
 
     Raises:
-        HardwareError: it did not start; it says why on the standard error.
+        HardwareError: it did not start; its standard error has the reason.
     """
 
     def __init__(self, what: str, function: Callable[..., None], *arguments: str) -> None:
         self._what = what
         target = f"{function.__module__}:{function.__qualname__}"
-        # In a session of its own it does not hear Ctrl-C, which is meant for its user.
+        # In a session of its own it does not get Ctrl-C, which is meant for the parent.
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, target, *arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
         )  # fmt: skip
         if self.output.readline() != _READY:
             self.close()
-            raise HardwareError(f"{self._what} did not start; it says why above")
+            raise HardwareError(f"{self._what} did not start; see its message above")
 
     @property
     def output(self) -> IO[bytes]:
-        """What it writes to its standard output once it is ready."""
+        """Its standard output after it is ready."""
         assert self._process.stdout is not None
         return self._process.stdout
 
@@ -55,10 +55,10 @@ class Child:
         try:
             self._process.stdin.write(data)
         except (BrokenPipeError, ValueError) as error:
-            raise HardwareError(f"{self._what} has ended; start anew") from error
+            raise HardwareError(f"{self._what} has ended; start again") from error
 
     def close(self, patience: float = 5.0) -> None:
-        """Close its input and wait until it ends; after some time, s, it is killed."""
+        """Close its input and wait until it ends; kill it after `patience`, s."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -70,13 +70,15 @@ class Child:
 
 
 def be_ready() -> None:
-    """In the child: let the parent know that all is prepared."""
+    """In the child: tell the parent that it is ready."""
     os.write(sys.stdout.fileno(), _READY)
 
 
 def have_priority() -> None:
-    """In the child, or another process that must keep time: where the system has this and allows it, be kept
-    waiting by no other process, nor by the parent if it has real-time priority itself."""
+    """Get real-time priority, above the parent's if it has that too, where the system supports and allows it.
+
+    For the child, or another process that must keep time.
+    """
     with suppress(OSError, AttributeError):
         priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))

@@ -1,7 +1,8 @@
-"""Commands to the arm at an even rate, from a process of their own.
+"""Sends commands to the arm at an even rate, from a separate process.
 
-The diagram that makes them also looks at pictures and learns, and is late at times. It hands this process
-joint angles and the time on its own clock at which they hold; they are sent a little later, evenly.
+The diagram that makes them also processes pictures and learns, and is late at times. It passes joint angles
+to this process with the time on its own clock at which they apply; they are sent slightly later, evenly
+spaced.
 """
 
 import gc
@@ -21,24 +22,24 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ACCELERATION_LIMITS
 
 DELAY = 0.04
-"""s by which commands are sent later than the diagram makes them; by less it may be late without effect."""
+"""Time between making and sending a command, s; the diagram may be late by less without effect."""
 
-_BRAKING = 0.05  # s in which the arm comes to rest on its path when it is to stop, if need be
+_BRAKING = 0.05  # s; longest time in which the arm comes to rest on its path when it must stop
 _SOONEST = 2 * ARM_PERIOD
-_SOON = 4 * ARM_PERIOD  # s; in a push the finger brakes so long by the data sheet
-_HARD = 4.5  # times the acceleration that the data sheet allows for motions, in an emergency
-_PAUSE = 1.0  # s between two angles of one and the same maker, at most
-_TOO_MUCH = 1.5  # delays; what is more than that is played faster
-_CATCH_UP = 0.05  # of the pace
+_SOON = 4 * ARM_PERIOD  # s; braking from a push takes this long within the data sheet's limits
+_HARD = 4.5  # emergency acceleration as a multiple of the data sheet's limit for motions
+_PAUSE = 1.0  # s; longest time between two angles from the same source
+_TOO_MUCH = 1.5  # delays; a longer queue is played faster
+_CATCH_UP = 0.05  # share by which it is then faster
 _SAMPLE = struct.Struct("<8d")
 
 
 def braking_time(speed: FloatArray, longest: float) -> float:
-    """Time for even braking, s, a whole number of commands.
+    """Time for braking at constant deceleration, s, a whole number of commands.
 
-    At the acceleration that the robot's data sheet allows for motions where the arm then rests within 20 ms;
-    within 20 ms where that takes up to 4.5 times as much; else at 4.5 times as much, but within the longest
-    time, whatever that asks of the joints.
+    The deceleration is the limit of the robot's data sheet for motions if the arm then comes to rest within
+    20 ms. Otherwise it comes to rest in 20 ms with up to 4.5 times that limit, or else at 4.5 times the
+    limit, but always within the longest time, whatever that demands of the joints.
 
     Args:
         speed: (7,) of the joints, rad/s.
@@ -50,11 +51,12 @@ def braking_time(speed: FloatArray, longest: float) -> float:
 
 
 class CommandBuffer:
-    """Plays joint angles back in the order and at the pace at which they were made, a little later.
+    """Plays joint angles back in the order and at the pace at which they were made, after a delay.
 
-    Where none come, the pace falls evenly to nothing: the arm slows down on its path, and waits there. Where
-    more wait than should, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
-    pace falls to nothing for good: the arm brakes on what it got before, which lasts for the delay.
+    If no new ones come, the pace falls smoothly to zero: the arm slows down on its path and waits there. If
+    too many are queued, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
+    pace falls
+    to zero for good: the arm brakes along the angles that it already has, which last for the delay.
 
     Args:
         delay: s between making and playing.
@@ -63,13 +65,13 @@ class CommandBuffer:
     def __init__(self, delay: float = DELAY) -> None:
         self._delay = delay
         self._samples: deque[tuple[float, FloatArray]] = deque()
-        self._clock = 0.0  # of whoever makes the angles, as far as they are played
+        self._clock = 0.0  # the source's clock at the angles played now
         self._now = 0.0
         self._pace = 0.0
-        self._braking = 0.0  # of the pace, 1/s, once it is to stop
+        self._braking = 0.0  # rate at which the pace falls after `stop`, 1/s
 
     def stop(self) -> None:
-        """Come to rest from where the path is played now; what is added is not played any more."""
+        """Come to rest from the present point of the path; angles added later are not played."""
         if self._braking == 0.0:
             speed = np.zeros(7)
             if len(self._samples) > 1:
@@ -78,9 +80,10 @@ class CommandBuffer:
             self._braking = max(self._pace, 1e-3) / braking_time(speed, _BRAKING)
 
     def add(self, time: float, q: FloatArray) -> None:
-        """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added.
+        """Add angles (7,), rad, that apply at a time of the source's clock, s; times must not decrease.
 
-        After a pause somebody else began where the arm rests: there is no way between to be played.
+        After a long pause a new source has started from where the arm rests, so there is no path to
+        interpolate.
         """
         if self._samples and self._braking == 0.0 and time > self._samples[-1][0] + _PAUSE:
             self._samples.clear()
@@ -89,12 +92,12 @@ class CommandBuffer:
         self._samples.append((time, np.array(q, dtype=float)))
 
     def at(self, now: float) -> FloatArray | None:
-        """Angles (7,) to be sent at a time, s of any even clock, or None before there are some."""
+        """Angles (7,) to send at a time, s of any uniform clock, or None before there are any."""
         if not self._samples:
             return None
         passed, self._now = max(now - self._now, 0.0) if self._now else 0.0, now
         newest, clock = self._samples[-1][0], self._clock
-        left = newest - self._clock  # still to be played; the delay, just before more of it comes
+        left = newest - self._clock  # still to be played; equals the delay just before more comes
         if self._braking > 0.0:
             slower = max(self._pace - self._braking * passed, 0.0)
             self._clock += min(0.5 * (self._pace + slower) * passed, left)
@@ -104,7 +107,7 @@ class CommandBuffer:
         elif left > _TOO_MUCH * self._delay:
             self._clock += (1.0 + _CATCH_UP) * passed
         else:
-            # The pace goes with what is left, from half the delay on.
+            # Below half the delay, the pace is proportional to what is left.
             self._clock += min(passed * min(1.0, 2.0 * left / self._delay), left)
         if self._braking == 0.0 and passed > 0.0:
             self._pace = (self._clock - clock) / passed
@@ -129,18 +132,18 @@ class CommandStream(Child):
     """The process that sends commands; `close` lets the arm come to rest and ends it.
 
     Args:
-        url: see `network.open_lcm`; not `memq://`, which another process does not hear.
+        url: see `network.open_lcm`; not `memq://`, which does not reach another process.
     """
 
     def __init__(self, url: str) -> None:
         super().__init__("the process that sends commands to the arm", _send, url)
 
     def send(self, time: float, q: FloatArray) -> None:
-        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s."""
+        """Send joint angles (7,), rad, that apply at a time of the caller's clock, s."""
         self.write(_SAMPLE.pack(time, *q))
 
     def stop(self) -> None:
-        """Let the arm brake at once on what it got before, and hold, for good."""
+        """Let the arm brake at once along the angles that it already has, and hold for good."""
         self.write(_SAMPLE.pack(np.nan, *np.zeros(7)))
 
 
@@ -152,8 +155,8 @@ def _message(q: FloatArray, now: float) -> bytes:
 
 
 def _send(url: str) -> None:
-    """Send what comes in on the standard input until it ends and the arm has come to rest."""
-    lcm = open_lcm(url, listens=False)  # or it would also receive all pictures
+    """Send the angles read from standard input until it ends and the arm has come to rest."""
+    lcm = open_lcm(url, listens=False)  # otherwise it would also receive all pictures
     buffer = CommandBuffer()
     source, received, ends = sys.stdin.fileno(), b"", np.inf
     have_priority()

@@ -1,4 +1,4 @@
-"""Being the one who controls a real cell: a lock for each arm, Ctrl-C that stops it, and its ports."""
+"""Exclusive control of a real cell: a lock for each arm, Ctrl-C that stops it, and its ports."""
 
 import fcntl
 import hashlib
@@ -27,7 +27,7 @@ from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.models.physics.stepper import Stepper
 
-# By this process: to the system its own locks are not in its way, and closing such a file frees the lock.
+# Locks of this process: the system would let it take them again, and closing such a file frees the lock.
 _held: set[Path] = set()
 
 
@@ -35,13 +35,13 @@ _held: set[Path] = set()
 def only_controller(url: str) -> Iterator[None]:
     """Hold the lock of the arm at an address until the block ends.
 
-    The system lets go of it when the process ends, however it ends: a lock of a dead process is free.
+    The system releases it when the process ends, however it ends: the lock of a dead process is free.
 
     Args:
-        url: LCM address; how it is written counts.
+        url: LCM address; compared literally.
 
     Raises:
-        BadInput: another process has it; names that process. Or the lock's folder cannot be written to.
+        BadInput: another process holds the lock; names that process. Or the lock's folder is not writable.
     """
     path = lock_folder() / f"{hashlib.sha256(url.encode()).hexdigest()[:16]}.lock"
     if path in _held:
@@ -63,12 +63,12 @@ def only_controller(url: str) -> Iterator[None]:
 
 def _taken(url: str, holder: str) -> BadInput:
     return BadInput(
-        f"{url}: {holder} drives the arm there; end it first, or choose another address with --lcm"
+        f"{url}: {holder} drives the arm there; stop it first, or choose another address with --lcm"
     )
 
 
 def lock_folder() -> Path:
-    """Where this user's locks are."""
+    """Folder of this user's locks."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_dir():
         return Path(runtime) / "slipmap"
@@ -76,7 +76,7 @@ def lock_folder() -> Path:
 
 
 def _locked(file: IO[str]) -> bool:
-    # A record lock, unlike flock, does not pass on to worker processes that might live longer.
+    # Unlike flock, a record lock is not inherited by worker processes, which might live longer.
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -97,25 +97,25 @@ def _holder(file: IO[str]) -> str:
     try:
         holder = json.load(file)
         return f"process {holder['process']} ({holder['command']}, since {holder['since']})"
-    except (ValueError, KeyError, TypeError):  # it has only just got it
+    except (ValueError, KeyError, TypeError):  # it has only just taken the lock
         return "another process"
 
 
 def stopped_by_ctrl_c(cell: HardwareInterface) -> AbstractContextManager[Callable[[], bool]]:
-    """In the block Ctrl-C, or a signal to end, stops the arm, which holds; see `until_ctrl_c`."""
+    """In the block, make Ctrl-C or SIGTERM stop the arm, which then holds; see `until_ctrl_c`."""
 
     def stop(number: int) -> None:
         cell.abort()
-        reason = "Ctrl-C" if number == signal.SIGINT else "told to end"
-        print(f"{reason}: the arm stops and holds; once more ends at once", file=sys.stderr, flush=True)
+        reason = "Ctrl-C" if number == signal.SIGINT else "SIGTERM"
+        print(f"{reason}: the arm stops and holds; repeat to quit at once", file=sys.stderr, flush=True)
 
     return until_ctrl_c(stop)
 
 
 @contextmanager
 def until_ctrl_c(stop: Callable[[int], None] = lambda number: None) -> Iterator[Callable[[], bool]]:
-    """In the block Ctrl-C, or a signal to end, calls a function with its number; the second one is Ctrl-C as
-    ever. Yields whether it came."""
+    """In the block, make the first Ctrl-C or SIGTERM call a function with its number; the second one raises
+    KeyboardInterrupt. Yields a function that tells whether one came."""
     pressed: list[int] = []
 
     def press(number: int, frame: object) -> None:
@@ -124,7 +124,7 @@ def until_ctrl_c(stop: Callable[[int], None] = lambda number: None) -> Iterator[
         pressed.append(number)
         stop(number)
 
-    if threading.current_thread() is not threading.main_thread():  # others hear no signals
+    if threading.current_thread() is not threading.main_thread():  # others get no signals
         yield lambda: False
         return
     before = {number: signal.signal(number, press) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -139,19 +139,19 @@ def until_ctrl_c(stop: Callable[[int], None] = lambda number: None) -> Iterator[
 def real_cell(
     scenario: Scenario, where: str | HardwareInterface | None, effects: Sequence[str] = ()
 ) -> Iterator[tuple[HardwareInterface | None, Executor | None]]:
-    """The cell behind an LCM address and workers, until the block ends; neither where there is no address.
+    """The cell at an LCM address and workers, until the block ends; None for both without an address.
 
     At the end the arm comes to rest.
 
     Args:
-        where: LCM address, see `network.open_lcm`; the station is simulated if None, and waits for what takes
-            long. Or what has the ports and methods of `HardwareInterface`; it waits likewise.
-        effects: that the model is given; its machine code is loaded before the arm can move.
+        where: LCM address, see `network.open_lcm`. If None, the station is simulated and waits for long
+            computations. Or an object with the ports and methods of `HardwareInterface`, which also waits.
+        effects: of the model; its machine code is loaded before the arm can move.
 
     Raises:
         EffectError: an unknown effect.
         HardwareError: a malformed address, or no network.
-        BadInput: somebody else controls the cell.
+        BadInput: another process controls the cell.
     """
     if where is None:
         yield None, None
@@ -172,8 +172,8 @@ def real_cell(
 
 
 def _load_model(effects: Sequence[str]) -> None:
-    """Have the code of the model's steps and rollouts in this process: the first would else hold the diagram
-    up for a second, with the arm under way."""
+    """Load the compiled code of the model's steps and rollouts, which would otherwise delay the diagram by a
+    second while the arm is moving."""
     square = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     grid, found = CellGrid(np.zeros((1, 2)), 0.02, square), effects_named(list(effects))
     Stepper(grid, 0.01, 0.01, found).load()

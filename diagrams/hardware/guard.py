@@ -1,9 +1,9 @@
-"""The block between the executor and the arm: under faults the arm stops, holds, and says why.
+"""The block between the executor and the arm: on a fault it stops the arm, holds it, and states the cause.
 
-`GuardSettings` say when, `_Rules` look for faults, and `CommandGuard` brings the arm to rest.
+`GuardSettings` define the limits, `_Rules` detect faults, and `CommandGuard` brings the arm to rest.
 """
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+# Annotations stay objects, because Drake's YAML reader inspects them.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -22,41 +22,42 @@ from slipmap.models.settings import CheckedSettings, within
 PERIOD = 0.005
 """s between two commands."""
 
-# A measured angle that moves by more than so many times the joint's largest speed, and by more than so much
-# (rad), did not move, but is wrong.
+# A measured angle that changes faster than this multiple of the joint's largest speed, and by more than this
+# (rad), is wrong.
 _LEAP_SPEED, _LEAP = 1.5, 0.01
 
-_BLOW = 0.02  # s that a torque must last: a blow has 98 N m when the finger meets an object at 0.3 m/s
+_BLOW = 0.02  # s that a torque must last; an impact with an object at 0.3 m/s briefly has 98 N m
 
-# s by which a message may seem to come from the future: this process's clock is late when it was busy. How
-# long none has come is measured by another clock then.
+# s by which a message may seem to come from the future, because this process's clock is late after it was
+# busy. Another clock then measures how long none has come.
 _CLOCKS = 0.5
 
-_BACK = 2.5  # times what the fastest joint needs for the way back from something that it presses on
+_BACK = 2.5  # times the fastest joint's time for moving back from something that it presses on
 
 _START = "check the arm and its surroundings, then start again"
 _LINK = (
-    "see whether the arm's driver runs, the cable holds and this computer is not too busy, then start again"
+    "check that the arm's driver is running, the cable is connected and this computer is not overloaded, then"
+    " start again"
 )
 
 
 @dataclass
 class GuardSettings(CheckedSettings):
-    """When the guard stops the arm; the defaults let everything pass that the executor plans."""
+    """When the guard stops the arm; the defaults allow everything that the executor plans."""
 
     _section = "guard."
 
-    status_age: float = within(0.025, 0.01, 0.5)  # oldest status of the arm that is good enough to move by, s
-    image_age: float = within(1.0, 0.1, 60.0)  # oldest picture that is good enough to move by, s
-    # largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests 50 ms after the
-    # last status wherever it is, from faster ways later
+    status_age: float = within(0.025, 0.01, 0.5)  # largest age of the arm's status for moving, s
+    image_age: float = within(1.0, 0.1, 60.0)  # largest age of the picture for moving, s
+    # largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm always rests 50 ms after
+    # the last status, at higher speeds later
     transit_speed: float = within(0.4, 0.01, 2.0)
     # largest speed of the finger's end that a command may ask for, m/s
     tip_speed: float = within(1.7, 0.01, 2.5)
-    # what must be left to a joint's limit when the arm has come to rest, rad
+    # smallest distance from a joint's limit after the arm has come to rest, rad
     joint_margin: float = within(0.0175, 0.0, 0.3)
-    following: float = within(0.05, 0.005, 0.5)  # by which a joint may be off all commands within `lag`, rad
-    lag: float = within(0.1, 0.02, 1.0)  # time that the arm has to get to where it was sent, s
+    following: float = within(0.05, 0.005, 0.5)  # largest error of a joint from all commands in `lag`, rad
+    lag: float = within(0.1, 0.02, 1.0)  # time in which the arm must follow a command, s
     # (7) largest torque that contact may put on each joint, N m
     torque: list[float] = field(default_factory=lambda: [40.0, 40.0, 30.0, 30.0, 20.0, 15.0, 15.0])
     # longest time from the last free command to rest, s; slow motions stop sooner
@@ -64,7 +65,7 @@ class GuardSettings(CheckedSettings):
     patience: float = within(10.0, 0.1, 600.0)  # time that the arm has to send its first status, s
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         super().check()
         torque = np.array(self.torque, dtype=float)
         if torque.shape != (7,) or not ((torque > 0) & (torque <= 320.0)).all():
@@ -73,13 +74,13 @@ class GuardSettings(CheckedSettings):
             )
 
     def held_to(self, execution: ExecutionConfig) -> ExecutionConfig:
-        """How the arm moves where this guard is to stop it in time."""
+        """The execution settings, slowed down so that this guard can stop the arm in time."""
         return replace(execution, transit_speed=min(execution.transit_speed, self.transit_speed))
 
 
 @dataclass(frozen=True, eq=False)
 class _Inputs:
-    """What the guard sees; arrays are (7,)."""
+    """The guard's inputs; arrays are (7,)."""
 
     time: float
     wanted: FloatArray
@@ -93,8 +94,8 @@ class _Inputs:
 
 @dataclass(frozen=True, eq=False)
 class _Stop:
-    """The way to rest: from joint angles `q` (7) at speeds `v` (7) to `rest` (7), from `begin` on, s; `back`
-    where that is not ahead, but away from what presses against the arm."""
+    """The motion to rest: from joint angles `q` (7) at speeds `v` (7) to `rest` (7), starting at `begin`, s;
+    `back` if that is not ahead, but away from something that presses against the arm."""
 
     q: FloatArray
     v: FloatArray
@@ -104,7 +105,7 @@ class _Stop:
     back: bool
 
     def at(self, time: float) -> FloatArray:
-        """Cubic; straight braking with an even deceleration where `rest` is half the way of no braking."""
+        """Joint angles on a cubic; constant deceleration if `rest` is half the path without braking."""
         s = min((time - self.begin) / self.duration, 1.0)
         way = self.rest - self.q
         return self.q + (s - 2 * s**2 + s**3) * self.duration * self.v + (3 * s**2 - 2 * s**3) * way
@@ -112,15 +113,15 @@ class _Stop:
 
 @dataclass(frozen=True, eq=False)
 class _Guarded:
-    """State: what the arm was sent, and what it said."""
+    """State: the commands sent, and the arm's last status."""
 
-    health: Health  # see there
-    commands: FloatArray  # (n, 7) of the last `lag`, newest last; empty while there was no status
+    health: Health
+    commands: FloatArray  # (n, 7) of the last `lag`, newest last; empty before the first status
     speed: FloatArray  # (7,) of the newest command, rad/s
-    stop: _Stop | None = None  # the way to rest, once it is stopped
-    last: _Inputs | None = None  # the inputs before
+    stop: _Stop | None = None  # the motion to rest, once stopped
+    last: _Inputs | None = None  # the previous inputs
     saw: bool = False  # whether a picture has come
-    # time since which the torque of contact is too large, s; infinite while it is not
+    # time since which the contact torque has been too large, s; infinite while it is not
     pressed: float = np.inf
 
 
@@ -135,10 +136,10 @@ class _Rules:
 
     def _abort_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
         if inputs.abort:
-            yield "stopped by hand", "start again to go on"
+            yield "stopped by hand", "start again to continue"
 
     def _status_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """Messages that are late or make no sense."""
+        """Messages that are late or implausible."""
         settings = self._settings
         age = max(inputs.status_age, inputs.silence) if inputs.silence > 0.0 else inputs.status_age
         if not _is_age(age, settings.status_age) or not _is_age(inputs.status_age, settings.status_age):
@@ -147,10 +148,10 @@ class _Rules:
             late = _late(inputs.image_age, settings.image_age)
             yield (
                 f"the camera's last picture is {late}",
-                "see whether the camera's driver runs and the cable holds, then start again",
+                "check that the camera's driver is running and the cable is connected, then start again",
             )
         if not np.isfinite([inputs.measured, inputs.torque]).all():
-            yield "the arm's status holds something that is no number", _LINK
+            yield "the arm's status has a value that is not a number", _LINK
         last = now.last
         assert last is not None
         between = max(inputs.time - inputs.status_age - last.time + last.status_age, 0.0)
@@ -159,20 +160,20 @@ class _Rules:
         if moved[k] > _LEAP_SPEED * SPEED_LIMITS[k] * between + _LEAP:
             leap = f"{_degrees(moved[k])} within {1e3 * between:.0f} ms"
             yield (
-                f"the arm's status leaps: {ARM_JOINTS[k]} by {leap}",
-                "see whether two drivers send to one address, then start again",
+                f"the arm's status jumps: {ARM_JOINTS[k]} by {leap}",
+                "check whether two drivers send to one address, then start again",
             )
 
     def _arm_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """An arm that does not go where it shall, or touches what it shall not."""
+        """An arm that does not follow its commands, or touches something that it should not."""
         settings, measured = self._settings, inputs.measured
         off = np.maximum(now.commands.min(axis=0) - measured, measured - now.commands.max(axis=0))
         k = np.argmax(off)
         if off[k] > settings.following:
             yield (
-                f"the arm does not follow: {ARM_JOINTS[k]} is {_degrees(off[k])} off what it was told, "
+                f"the arm does not follow: {ARM_JOINTS[k]} is {_degrees(off[k])} off its commands, "
                 f"{_degrees(settings.following)} are allowed",
-                "see whether the arm is blocked, in another mode or braked, then start again",
+                "check whether the arm is blocked, in another mode or braked, then start again",
             )
         if self.presses(now, inputs):
             torque, most = np.abs(inputs.torque), np.array(settings.torque)
@@ -194,24 +195,24 @@ class _Rules:
         return bool((np.abs(torque) > self._settings.torque).any())
 
     def _wanted_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """A motion that is asked for and must not be made."""
+        """A commanded motion that must not be made."""
         settings, wanted = self._settings, inputs.wanted
         if not np.isfinite(wanted).all():
-            yield "the wanted position is no number", _START
+            yield "the commanded position is not a number", _START
             return
         speed = (wanted - now.commands[-1]) / PERIOD
         k = np.argmax(np.abs(speed) / SPEED_LIMITS)
         if abs(speed[k]) > SPEED_LIMITS[k]:
             yield (
-                f"the wanted position leaps: {ARM_JOINTS[k]} would have to turn at {_degrees(abs(speed[k]))} "
-                f"a second, of which {_degrees(SPEED_LIMITS[k])} are allowed",
+                f"the commanded position jumps: {ARM_JOINTS[k]} would have to turn at"
+                f" {_degrees(abs(speed[k]))} per second; {_degrees(SPEED_LIMITS[k])} are allowed",
                 _START,
             )
         tip_speed = float(np.linalg.norm(self._kinematics.jacobian(wanted)[3:] @ speed))
         if tip_speed > settings.tip_speed:
             yield (
-                f"the finger would have to move at {tip_speed:.2f} m/s, of which {settings.tip_speed:g} m/s "
-                "are allowed",
+                f"the finger would have to move at {tip_speed:.2f} m/s; {settings.tip_speed:g} m/s are"
+                " allowed",
                 _START,
             )
         rest = np.abs(wanted + speed * braking_time(speed, settings.stopping) / 2.0)
@@ -219,39 +220,42 @@ class _Rules:
         if rest[k] > POSITION_LIMITS[k] - settings.joint_margin:
             limit = f"{_degrees(rest[k])} of {_degrees(POSITION_LIMITS[k])}"
             yield (
-                f"{ARM_JOINTS[k]} comes near its limit: {limit}",
+                f"{ARM_JOINTS[k]} comes too near its limit: {limit}",
                 "move the arm away from the limit by hand, then start again",
             )
 
 
 class CommandGuard(PythonSystem):
-    """Passes joint angles on to the arm while all is well; else brings the arm to rest and holds it.
+    """Passes joint angles on to the arm while there is no fault; on a fault it brings the arm to rest and
+    holds it.
 
     Input ports:
 
-    - `iiwa.position` (7,) wanted, rad; `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of
-      contact on the arm.
+    - `iiwa.position` (7,) commanded, rad; `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m,
+      from contact with the arm.
     - `status_age` (1,) s, of the newest valid status; infinite before the first.
-    - `status_silence` (optional, (1,) s) since a status was found, by this computer's clock: it goes on where
-      the diagram's is late, and with it all ages.
+    - `status_silence` (optional, (1,) s) since a status was found, by this computer's clock, which runs on
+      while the diagram's, and with it all ages, is late.
     - `image_age` (optional, (1,) s) of the newest valid picture; infinite before the first.
     - `abort` (optional, (1,)): above 0.5 stops the arm.
 
     Output ports: `iiwa.position` (7,) rad, new every `PERIOD`; `health`: `Health`.
 
-    Until the first status it waits and asks the arm to stay where it is said to be. What stops the arm:
-    a late or impossible status; an arm that is not where it was sent; a picture that is late, once
-    there was one; torque of contact; a wanted position that is no number, leaps, asks a joint or the finger
-    for too much speed, or comes near a joint's limit; `abort`. The command is then brought to rest evenly, as
-    fast as the joints' data sheet allows and within `GuardSettings.stopping`, whatever is wanted, and stays
-    there; where something presses against the arm, at the measured position, so that it no longer does.
+    Until the first status it waits, and commands the arm to stay at its reported position. The following stop
+    the
+    arm: a late or impossible status; an arm that does not follow its commands; a late picture, once there was
+    one; contact torque; a commanded position that is not a number, jumps, demands too much speed of a joint
+    or the finger, or comes near a joint's limit; `abort`. The command is then brought to rest at constant
+    deceleration, as fast as the joints' data sheet allows and within `GuardSettings.stopping`, whatever is
+    commanded, and stays there. If something presses against the arm, it stops at the measured position
+    instead, which relieves the contact.
 
-    It stays stopped until the process is started anew, also when the cause is gone or `abort` goes back to
-    0: an arm must not begin to move because a cable was put in or somebody let go of a button, and what was
-    planned before the fault need no longer fit. `slipmap explore --resume` goes on from what was recorded.
+    It stays stopped until the process is restarted, even if the cause disappears or `abort` returns to 0: an
+    arm must not start to move because a cable was plugged in or a button released, and plans made before the
+    fault may no longer be valid. `slipmap explore --resume` continues from the recording.
 
     Args:
-        model: the arm as `arm_model` makes it.
+        model: the arm, as built by `arm_model`.
 
     Raises:
         ValueError: settings out of range.
@@ -311,7 +315,7 @@ class CommandGuard(PythonSystem):
                 stop = self._stop(now, inputs)
                 now = replace(now, health=Health("stopped", *fault, inputs.time, stop.back), stop=stop)
         if len(now.commands) == 0:
-            return now  # there was never a status: nothing to hold
+            return now  # without any status there is nothing to hold
         before = now.commands[-1]
         command = inputs.wanted if now.stop is None else now.stop.at(inputs.time)
         kept = round(self._settings.lag / PERIOD)
@@ -323,8 +327,8 @@ class CommandGuard(PythonSystem):
         )
 
     def _stop(self, now: _Guarded, inputs: _Inputs) -> _Stop:
-        """The way to rest. An arm that presses on something stops where it is, not where it was sent: it
-        would go on pressing."""
+        """The motion to rest. An arm that presses on something stops at its measured position, because it
+        would go on pressing at the commanded one."""
         q, v = now.commands[-1], now.speed
         duration = braking_time(v, self._settings.stopping)
         rest = q + v * duration / 2.0

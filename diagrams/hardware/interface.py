@@ -1,6 +1,6 @@
-"""The real cell, or its twin in another process, with the ports that the station has.
+"""The real cell, or its twin in another process, with the ports of the station.
 
-`HeardCell` is what arm, gripper and camera say; `HardwareInterface` also sends them commands.
+`HeardCell` receives the messages of arm, gripper and camera; `HardwareInterface` also sends commands.
 """
 
 import time
@@ -27,22 +27,22 @@ from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 PATIENCE = 10.0
-"""s that the cell has for its first messages."""
+"""Time that the cell has to send its first messages, s."""
 
 OWN = ("health", "iiwa.silence", "abort")
 """Ports that only a real cell has."""
 
 
 class HeardCell(PythonDiagram):
-    """What arm, gripper and camera say.
+    """The messages of arm, gripper and camera as ports.
 
-    The output ports are those of `Station`, less those that only a simulation has, and `iiwa.silence`, which
-    is that of `CheckedMessages`. Messages are handed to `checked`, one `CheckedMessages` a channel and named
-    like it, which checks each before anything of it is used.
+    The output ports are those of `Station`, without those that only a simulation has, and `iiwa.silence`,
+    which is that of `CheckedMessages`. Messages go to `checked`, which has one `CheckedMessages` per channel,
+    named like the channel, and are checked before any part of them is used.
 
     Args:
-        scenario: what the cell is like; of the object nothing is used.
-        clock: of the arm's status, see `CheckedMessages`.
+        scenario: of the cell; its object is not used.
+        clock: for the arm's status, see `CheckedMessages`.
     """
 
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
@@ -116,14 +116,15 @@ class _PoseReceiver(PythonSystem):
         return RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
 
 
-_SAME_CLOCK = 1.0  # s by which arm and camera may seem apart; by more, their stamps are of different clocks
+_SAME_CLOCK = 1.0  # s; stamps of arm and camera that differ by more come from different clocks
 
 
 class _PictureAge(PythonSystem):
-    """How long ago the newest picture was taken.
+    """Age of the newest picture since it was taken.
 
-    The arm's newest status says what the sender's clock shows now, so that neither rendering nor a large
-    message's way counts. Where the camera has another clock, it is the time since the picture came.
+    The arm's newest status gives the sender's present clock, so rendering and the transmission of a large
+    message count as part of the age. If the camera has another clock, it is the time since the picture
+    arrived.
     """
 
     def __init__(self) -> None:
@@ -143,21 +144,21 @@ class _PictureAge(PythonSystem):
 
 
 class HardwareInterface(PythonDiagram):
-    """The cell behind an LCM address.
+    """The cell at an LCM address.
 
-    The ports are those of `Station`, less those that only a simulation has, and `OWN`: `iiwa.silence` (1,),
-    s, is that of `CheckedMessages`; `abort` (1,) is 1 once `abort` was called or a message on the channel of
-    that name said so. The input `health`, which need not be connected, is that of the guard before the cell:
-    the arm brakes at once when the guard stops it, not only when the commands do that are still to be played.
+    The ports are those of `Station`, without those that only a simulation has, and `OWN`: `iiwa.silence`
+    (1,), s, is that of `CheckedMessages`; `abort` (1,) is 1 once `abort` was called or a message on the
+    channel of that name requested it. The optional input `health` is that of the guard in front of the cell:
+    with it, the arm brakes as soon as the guard stops it, without waiting for queued commands.
 
-    Every message is checked before anything of it is used (`CheckedMessages`, one a channel, named like it),
-    and `connect` must be called before the simulation begins. A Simulator runs it at `realtime_rate`.
+    Every message is checked before any part of it is used (one `CheckedMessages` per channel, named like it).
+    Call `connect` before the simulation starts. A Simulator runs it at `realtime_rate`.
 
     Args:
-        lcm: the address of a cell that runs by itself, see `network.open_lcm`. Then a thread hears messages,
-            and a process sends the arm's commands, both however busy the diagram is. Or a connection, such as
-            one in memory, that the diagram itself serves at its steps.
-        scenario: what the cell is like; of the object nothing is used.
+        lcm: address of a cell that runs on its own, see `network.open_lcm`. A thread then receives messages
+            and a process sends the arm's commands, however busy the diagram is. Or a connection, such as one
+            in memory, which the diagram itself serves at its steps.
+        scenario: of the cell; its object is not used.
 
     Raises:
         HardwareError: a malformed address, or no network.
@@ -192,23 +193,23 @@ class HardwareInterface(PythonDiagram):
         self.set_name("station")
 
     def connect(self, root: Context, patience: float = PATIENCE) -> None:
-        """Wait for the first messages and let the Context begin with them; then commands may be sent.
+        """Wait for the first messages and start the Context with them; then commands may be sent.
 
         Args:
-            root: of the diagram that this one is in.
+            root: Context of the diagram that this one is in.
             patience: longest time to wait, s.
 
         Raises:
-            HardwareError: names the channels that are silent, or what is wrong with what comes.
+            HardwareError: names the silent channels, or the faults of their messages.
         """
         self.close()
         if isinstance(self._sender, _StreamSender):
-            # Pictures take some ms to check, for which the arm does not wait.
+            # Pictures take some ms to check; the arm must not wait for them.
             self._listeners = [
                 network.Listener(self._url, {name: self._everyone[name].hear for name in together})
                 for together in ((*ARM, network.ABORT), CAMERA)
             ]
-            self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
+            self._sender.start(self._url)  # first, because it takes a while and messages should be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
         deadline = time.monotonic() + patience
         while True:
@@ -229,19 +230,19 @@ class HardwareInterface(PythonDiagram):
         causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
         heard = f" ({'; '.join(causes)})" if causes else ""
         return (
-            f"no good message on {', '.join(silent)} at {self._url} within {patience:g} s{heard}; see that"
-            f" the cell's drivers run there, or start its twin with `slipmap station --lcm '{self._url}'` and"
-            " the same scenario"
+            f"no valid message on {', '.join(silent)} at {self._url} within {patience:g} s{heard}; check that"
+            f" the cell's drivers are running, or start its twin with `slipmap station --lcm '{self._url}'`"
+            " and the same scenario"
         )
 
     def abort(self) -> None:
-        """Stop the arm, for good, at the diagram's next step; may be called by another thread."""
+        """Stop the arm for good at the diagram's next step; may be called from another thread."""
         message = lcmt_drake_signal()
         message.dim, message.coord, message.val = 1, list(checked_messages.ABORT_COORDINATES), [1.0]
         self._stop.hear(bytes(message.encode()))
 
     def close(self) -> None:
-        """Let the arm come to rest, send no more commands, and hear no more messages."""
+        """Let the arm come to rest, and stop sending commands and receiving messages."""
         if isinstance(self._sender, _StreamSender):
             self._sender.stop()
         while self._listeners:
@@ -253,7 +254,7 @@ class HardwareInterface(PythonDiagram):
             self._sender = builder.AddNamedSystem(f"{network.IIWA_COMMAND}_stream", _StreamSender())
             builder.ExportInput(self._sender.GetInputPort("health"), "health")
         else:
-            unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
+            unused = builder.AddSystem(PassThrough(Value[object](None)))  # no commands are queued
             builder.ExportInput(unused.get_input_port(), "health")
             self._sender = builder.AddSystem(
                 manipulation.IiwaCommandSender(7, manipulation.IiwaControlMode.kPositionOnly)
@@ -275,7 +276,7 @@ class HardwareInterface(PythonDiagram):
 
 
 class _Abort(PythonSystem):
-    """Whether the newest message says that the arm is to be stopped; not before the first."""
+    """Whether the newest message requests a stop of the arm; 0 before the first."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -306,7 +307,7 @@ class _StreamSender(PythonSystem):
 
     def _send(self, context: Context) -> EventStatus:
         if self._stream is None:
-            raise network.HardwareError("hardware: call `connect` before the simulation begins")
+            raise network.HardwareError("hardware: call `connect` before the simulation starts")
         port = self.GetInputPort("health")
         health: Health | None = port.Eval(context) if port.HasValue(context) else None
         if health is not None and health.mode == "stopped" and not health.back:

@@ -1,8 +1,8 @@
-"""Logs of messages as MCAP, which viewers such as Foxglove open.
+"""Logs of messages in MCAP format, which viewers such as Foxglove open.
 
-Every message stands there as it was received, under its channel's name with the encoding `lcm`; `slipmap
-replay` goes by these. Those of arm, gripper and camera stand there a second time as JSON, under names that
-begin with a slash, with schemas that viewers know.
+Every message is stored as received, under its channel's name with the encoding `lcm`; `slipmap replay` reads
+these. Messages of arm, gripper and camera are also stored as JSON, under names that start with a slash, with
+schemas that viewers know.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
          "data": {"type": "string", "contentEncoding": "base64"}},
     ),
 }  # fmt: skip
-"""Names of what viewers see, of their schemas, and what stands in them beside `timestamp`."""
+"""Channels for viewers: name, name of the schema, and its fields in addition to `timestamp`."""
 
 
 class McapLog:
-    """A log that is written; `close` ends it, else viewers have to mend it.
+    """A log for writing; it must be ended by `close`, or viewers have to repair it.
 
     Args:
         file: opened for writing bytes.
@@ -65,7 +65,7 @@ class McapLog:
         self._count = 0
 
     def write(self, event: Event) -> None:
-        """Add an event as it came, and what viewers see of it."""
+        """Add an event as received, and its JSON for viewers."""
         self._add(event.channel, _RAW, 0, event, event.data)
         self._count += 1
         with suppress(BadMessage, ValueError, IndexError):  # whatever came is kept above
@@ -85,12 +85,12 @@ class McapLog:
         self._writer.add_message(self._channels[name], time, data, time, self._count)
 
     def close(self) -> None:
-        """Write what ends a log."""
+        """Write the end of the log."""
         self._writer.finish()
 
 
 def _seen(event: Event) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What viewers see of a message: the name and the JSON of it."""
+    """Names and JSON contents that viewers see of a message."""
     if event.channel == network.IIWA_STATUS:
         arm = drake.lcmt_iiwa_status.decode(event.data)
         yield (
@@ -148,10 +148,10 @@ def _stamp(utime: int) -> dict[str, int]:
 
 
 class McapReader:
-    """The events of a log, one after the other, as of `LogReader`.
+    """The events of a log in order, like those of `LogReader`.
 
     Attributes:
-        cut_off: whether the log ends in the midst of a record, as that of a killed process does.
+        cut_off: whether the log ends within a record, like that of a killed process.
     """
 
     def __init__(self, file: IO[bytes], name: str) -> None:
@@ -162,7 +162,7 @@ class McapReader:
         """Events until the log ends.
 
         Raises:
-            BadLog: it is no log, damaged, or holds no messages of LCM.
+            BadLog: it is not a log, damaged, or has no LCM messages.
             BadInput: the library mcap is not installed.
         """
         try:
@@ -181,15 +181,15 @@ class McapReader:
                 self.cut_off = True
                 break
             except (McapError, ValueError, OverflowError, MemoryError, EOFError, LookupError) as error:
-                raise BadLog(f"{self._name}: is no MCAP log, or is damaged ({error})") from error
+                raise BadLog(f"{self._name}: is not an MCAP log, or is damaged ({error})") from error
             except Exception as error:  # of the libraries that unpack chunks
-                raise BadLog(f"{self._name}: is damaged ({error}); copy the file anew") from error
+                raise BadLog(f"{self._name}: is damaged ({error}); copy the file again") from error
             if channel.message_encoding == _RAW:
                 yield Event(count, message.log_time // 1000, channel.topic, message.data)
                 count += 1
         if count == 0 and not self.cut_off:
-            raise BadLog(f"{self._name}: holds no messages of LCM; give a log of `slipmap record --log`")
+            raise BadLog(f"{self._name}: has no LCM messages; give a log of `slipmap record --log`")
 
 
 def _missing(name: str) -> BadInput:
-    return BadInput(f"{name}: MCAP takes the library mcap; install it with `pip install 'slipmap[import]'`")
+    return BadInput(f"{name}: MCAP needs the library mcap; install it with `pip install 'slipmap[import]'`")

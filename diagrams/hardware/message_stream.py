@@ -1,9 +1,10 @@
-"""Messages as they come, and logs of them as LCM's own `lcm-logger` writes them.
+"""The stream of incoming messages, and logs of them in the format of LCM's own `lcm-logger`.
 
-A process of its own hears the messages, which misses none while this one is busy, and hands them on as a log.
+A separate process receives the messages, so that none is missed while this one is busy, and passes them on as
+a log.
 
-An event is a header of 28 bytes, big-endian (sync word, number, µs since 1970 at which it was received,
-lengths), then the channel's name and the message: https://lcm-proj.github.io/lcm/content/log-file-format.html.
+An event is a header of 28 bytes, big-endian (sync word, number, time of reception in µs since 1970, lengths),
+followed by the channel's name and the message: https://lcm-proj.github.io/lcm/content/log-file-format.html.
 Drake has a class for such files, but not in Python.
 """
 
@@ -26,17 +27,17 @@ from slipmap.diagrams.hardware.network import HardwareError, open_lcm
 from slipmap.models.files import BadInput
 
 LARGEST = 40_000_000
-"""Bytes of a message; pictures are at most 4096 by 4096 when packed."""
+"""Largest message, bytes; compressed pictures have at most 4096 by 4096 pixels."""
 
 TICK = "slipmap.tick"
-"""Channel of empty events that come every 0.5 s, so that whoever reads wakes when nothing is heard."""
+"""Channel of empty events every 0.5 s, which wake the reader when no messages come."""
 
 _TICKS = 0.5  # s between two of them
 _LOOK_EVERY = 3e-4  # s
-_WAITING = 400_000_000  # bytes that may wait for a busy reader; more are left out, as their numbers show
+_WAITING = 400_000_000  # bytes that may wait for a busy reader; more are dropped, as the event numbers show
 _HEADER = struct.Struct(">IqqII")
 _SYNC = 0xEDA1DA01
-_LONGEST_NAME = 63  # of a channel, with LCM
+_LONGEST_NAME = 63  # of a channel in LCM
 
 
 class BadLog(BadInput, ValueError):
@@ -53,23 +54,23 @@ class Event:
     data: bytes  # as received; it may be anything
 
     def encode(self) -> bytes:
-        """The event as it stands in a log."""
+        """The event in the format of a log."""
         name = self.channel.encode()
         header = _HEADER.pack(_SYNC, self.number, self.utime, len(name), len(self.data))
         return b"".join((header, name, self.data))
 
 
 class EventLog(Protocol):
-    """Where events go as they came."""
+    """A destination for unchanged events."""
 
     name: str  # of the file
 
     def write(self, event: Event) -> None:
-        """Add an event; its number is that in the log."""
+        """Add an event, numbered by its place in the log."""
 
 
 class LcmLog:
-    """A log as LCM's logger writes it. Args: file: opened for writing bytes."""
+    """A log in the format of LCM's logger. Args: file: opened for writing bytes."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self.name = file.name
@@ -82,13 +83,13 @@ class LcmLog:
 
 
 class LogReader:
-    """The events of a log, one after the other.
+    """The events of a log in order.
 
     Attributes:
-        cut_off: whether the log ends in the midst of an event, as that of a killed process does.
+        cut_off: whether the log ends within an event, like that of a killed process.
 
     Args:
-        file: opened for reading bytes; its `read` returns less than asked for at its end alone.
+        file: opened for reading bytes; its `read` returns less than requested only at the end.
         name: for messages.
     """
 
@@ -100,7 +101,7 @@ class LogReader:
         """Events until the log ends.
 
         Raises:
-            BadLog: it is no log, or damaged.
+            BadLog: it is not a log, or damaged.
         """
         count, place = 0, 0
         while header := self._file.read(_HEADER.size):
@@ -111,9 +112,9 @@ class LogReader:
                 return
             sync, number, utime, name_length, length = _HEADER.unpack(header)
             if sync != _SYNC:
-                raise self._foreign() if count == 0 else self._damaged(count, place, "no event begins there")
+                raise self._foreign() if count == 0 else self._damaged(count, place, "no event starts there")
             if not 0 < name_length <= _LONGEST_NAME or length > LARGEST or number < 0 or utime < 0:
-                raise self._damaged(count, place, "the event's header has numbers that cannot be")
+                raise self._damaged(count, place, "the event's header has impossible numbers")
             body = self._file.read(name_length + length)
             if len(body) < name_length + length:
                 self.cut_off = True
@@ -121,46 +122,47 @@ class LogReader:
             try:
                 channel = body[:name_length].decode()
             except UnicodeDecodeError as error:
-                raise self._damaged(count, place, "the channel's name is no text") from error
+                raise self._damaged(count, place, "the channel's name is not text") from error
             yield Event(number, utime, channel, body[name_length:])
             count += 1
             place += _HEADER.size + len(body)
 
     def _foreign(self) -> BadLog:
         return BadLog(
-            f"{self._name}: is no LCM log; give one that `slipmap record --log` or LCM's `lcm-logger` wrote"
+            f"{self._name}: is not an LCM log; give one written by `slipmap record --log` or by `lcm-logger`"
         )
 
     def _damaged(self, count: int, place: int, why: str) -> BadLog:
         return BadLog(
-            f"{self._name}: is damaged after {count} messages, at byte {place}: {why}; copy the file anew, or"
-            f" keep what is whole with `head -c {place}`"
+            f"{self._name}: is damaged after {count} messages, at byte {place}: {why}; copy the file again,"
+            f" or keep the intact part with `head -c {place}`"
         )
 
 
 class MessageStream(Child):
-    """The process that hears messages; `close` ends it.
+    """The process that receives messages; `close` ends it.
 
     Args:
-        url: see `network.open_lcm`; not `memq://`, which another process does not hear.
+        url: see `network.open_lcm`; not `memq://`, which does not reach another process.
+        heard: channels.
 
     Raises:
-        HardwareError: see `network.open_lcm`, or it could not be started.
+        HardwareError: see `network.open_lcm`, or the process could not be started.
     """
 
     def __init__(self, url: str, heard: Sequence[str]) -> None:
         open_lcm(url)  # raises here whatever is wrong with address or network
-        super().__init__("the process that hears messages", _hear, url, *heard)
+        super().__init__("the process that receives messages", _hear, url, *heard)
 
     def __iter__(self) -> Iterator[Event]:
-        """Events without end, those of `TICK` among them.
+        """Endless events, including those of `TICK`.
 
         Raises:
             HardwareError: the process has ended.
         """
         pipe = io.BufferedReader(cast(io.RawIOBase, self.output), 1 << 20)
-        yield from LogReader(pipe, "the process that hears messages")
-        raise HardwareError("the process that hears messages has ended; start anew")
+        yield from LogReader(pipe, "the process that receives messages")
+        raise HardwareError("the process that receives messages has ended; start again")
 
 
 class _Waiting:
@@ -197,7 +199,7 @@ def _hear(url: str, *heard: str) -> None:
         lcm.Subscribe(name, partial(waiting.add, name))
 
     def write() -> None:
-        with suppress(OSError):  # nobody reads any more
+        with suppress(OSError):  # the reader has gone
             while True:
                 left = memoryview(waiting.next())
                 while left:
@@ -205,10 +207,10 @@ def _hear(url: str, *heard: str) -> None:
 
     be_ready()
     threading.Thread(target=write, daemon=True).start()
-    have_priority()  # LCM keeps one message of a channel until it is asked for
+    have_priority()  # LCM keeps only one message per channel until it is read
     ticked = time.monotonic()
     while not select.select([sys.stdin], [], [], 0.0)[0]:
-        if not lcm.HandleSubscriptions(0):  # waiting inside of it would keep the other thread waiting
+        if not lcm.HandleSubscriptions(0):  # waiting inside it would block the other thread
             time.sleep(_LOOK_EVERY)
         if time.monotonic() - ticked > _TICKS:
             ticked = time.monotonic()

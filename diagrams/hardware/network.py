@@ -1,6 +1,6 @@
-"""Where the two sides of a cell meet: address, channels and rates of LCM's network, and connections to it.
+"""The LCM network between the two sides of a cell: address, channels, rates, and connections.
 
-Drake is loaded with the first connection, so that help texts, which name the address, load quickly.
+Drake is imported with the first connection, so that help texts, which name the address, load quickly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pydrake.lcm import DrakeLcm
 
 LCM_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""LCM's usual address; with ttl=0 nothing leaves this computer."""
+"""LCM's default address; with ttl=0 nothing leaves this computer."""
 
 IIWA_STATUS, IIWA_COMMAND = "IIWA_STATUS", "IIWA_COMMAND"
 GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
@@ -27,20 +27,20 @@ ABORT = "ABORT"
 ARM = (IIWA_STATUS, GRIPPER_STATUS)
 CAMERA = (CAMERA_DEPTH, CAMERA_POSE, CAMERA_COLOR)
 NEEDED = (*ARM, CAMERA_DEPTH, CAMERA_POSE)
-"""Channels without which nothing can be done."""
+"""Required channels."""
 
 ARM_PERIOD = 0.005
 """s between two messages of the arm, in both directions."""
 GRIPPER_PERIOD = 0.05
 """s between two messages of the gripper, in both directions."""
 COLOR_PERIOD = 1.0
-"""s between two colour pictures, which nothing but people look at."""
+"""s between two colour pictures, which only people look at."""
 
 LOOK_EVERY = 1e-3
-"""s between two looks for messages of whoever waits for them."""
+"""s between two checks for new messages."""
 
 _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
-_BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
+_BUFFER = 4_194_304  # bytes of the socket's buffer; a picture comes in several packets at once
 
 
 class HardwareError(BadInput, RuntimeError):
@@ -48,10 +48,10 @@ class HardwareError(BadInput, RuntimeError):
 
 
 def address_settings(url: str) -> dict[str, str]:
-    """What stands after the ? of an address.
+    """The options after the ? of an address.
 
     Raises:
-        HardwareError: a malformed address, or none of multicast.
+        HardwareError: a malformed address, or one that is not multicast.
     """
     match = _ADDRESS.fullmatch(url)
     if match is None:
@@ -61,24 +61,22 @@ def address_settings(url: str) -> dict[str, str]:
     unknown = settings.keys() - {"ttl", "recv_buf_size"}
     if unknown or not all(value.isdigit() for value in settings.values()):
         raise HardwareError(
-            "--lcm: after the ? of an address may stand ttl=N and recv_buf_size=N, whole numbers joined by &;"
-            f" got {url}"
+            "--lcm: the only options after the ? of an address are ttl=N and recv_buf_size=N, whole numbers"
+            f" joined by &; got {url}"
         )
     group = int(url.removeprefix("udpm://").partition(".")[0])
     if not 224 <= group <= 239:
-        raise HardwareError(
-            f"--lcm: the address must be one of multicast, 224.0.0.0 to 239.255.255.255, got {url}"
-        )
+        raise HardwareError(f"--lcm: the address must be multicast, 224.0.0.0 to 239.255.255.255, got {url}")
     return settings
 
 
 def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
-    """A connection to an address.
+    """Open a connection to an address.
 
     Args:
-        listens: whether messages will be heard, and not only sent; the network is tried out then.
-        url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 where messages shall leave this computer, or `memq://`
-            for one that exists in this object alone.
+        listens: whether to receive messages as well as send them; if so, the network is tested.
+        url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 if messages should leave this computer, or `memq://`
+            for one that exists only in this object.
 
     Raises:
         HardwareError: a malformed address, or a network that does not carry messages.
@@ -103,14 +101,14 @@ def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
 
 
 class Listener:
-    """A thread that hears messages as they come.
+    """A thread that receives messages as they come.
 
-    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would see
-    a state long past.
+    LCM keeps only one message per channel, the oldest, until it is read: a diagram that was busy would see an
+    outdated state.
 
     Args:
         url: see `open_lcm`.
-        hear: what to call with the messages of each channel.
+        hear: function to call with the messages of each channel.
 
     Raises:
         HardwareError: see `open_lcm`.
@@ -131,6 +129,6 @@ class Listener:
 
     def _listen(self) -> None:
         while not self._ends.is_set():
-            # Waiting inside of LCM would keep all other threads waiting, too.
+            # Waiting inside LCM would block all other threads, too.
             if not self._lcm.HandleSubscriptions(0):
                 time.sleep(LOOK_EVERY)

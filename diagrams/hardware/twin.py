@@ -1,4 +1,4 @@
-"""A twin of the real cell: the simulated station behind the messages that arm, gripper and camera send."""
+"""A twin of the real cell: the simulated station behind the messages of arm, gripper and camera."""
 
 import os
 import select
@@ -52,27 +52,27 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
 LATE = 0.1
-"""s by which the twin may be late before it gives up catching up: an arm that hurries would be no twin."""
+"""s by which the twin may be late before it stops trying to catch up: a real arm would not hurry."""
 
 _REPORT_EVERY = 10.0  # s
-_PLAYED_LATER = 0.015  # s; messages do not come quite evenly
+_PLAYED_LATER = 0.015  # s; messages do not arrive quite evenly
 
 
 class CellTwin(PythonDiagram):
-    """The station that gets its commands by messages, and says by messages what it does.
+    """The station, commanded by messages and reporting its state by messages.
 
-    It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
-    gripper at 20 Hz, pictures at the camera's rate, packed, with where they were taken from. The stamps are
-    the diagram's clock. Until commands come the arm stays as it is, and the gripper is closed. The arm
-    follows commands at the pace at which they were sent, also where this process was late and would see a
-    leap.
+    It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, those
+    of the gripper at 20 Hz, and compressed pictures with the camera's pose at the camera's rate. Stamps are
+    from the diagram's clock. Until commands come, the arm stays in place and the gripper is closed. The arm
+    follows commands at the pace at which they were sent, even if this process was late and would otherwise
+    see a jump.
 
     Args:
-        arm: whether arm and gripper take part.
-        camera: whether the camera does; rendering takes so long that arm and camera are best kept apart.
+        arm: whether to include arm and gripper.
+        camera: whether to include the camera; rendering is slow, so arm and camera are best kept apart.
 
     Raises:
-        ValueError, RendererUnavailable: as `Station`.
+        ValueError, RendererUnavailable: as for `Station`.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ def _add_gripper(
 def _add_camera(
     builder: DiagramBuilder, station: Station, lcm: DrakeLcmInterface, scenario: Scenario
 ) -> dict[str, LcmPublisherSystem]:
-    """Returns the publishers by their channels."""
+    """Add the camera's publishers and return them by channel."""
     period = 1.0 / scenario.camera.rate
     result = {}
     for channel, port, pixels, every in (
@@ -157,7 +157,7 @@ def _add_camera(
 
 
 class _Paced(PythonSystem):
-    """Commands at the pace of their stamps; before the first, angles as they come."""
+    """Plays commands at the pace of their stamps; before the first, passes angles through."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -174,7 +174,7 @@ class _Paced(PythonSystem):
         stamp = float(self.GetInputPort("stamp").Eval(context)[0])
         if np.isfinite(stamp) and stamp != last:
             buffer.add(stamp, self.GetInputPort("position").Eval(context))
-        # It counts from above 0, which to it means that it was never asked.
+        # Its time must exceed 0, which it takes to mean that it was never called.
         q = buffer.at(1.0 + context.get_time())
         replace_held(state, self._played, (buffer, stamp, q))
         return EventStatus.Succeeded()
@@ -201,15 +201,15 @@ class _PoseSender(PythonSystem):
 
 
 class TwinCamera(Child):
-    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting."""
+    """The twin's camera in a separate process, so that rendering does not delay the arm."""
 
     def __init__(self, scenario: Scenario, url: str) -> None:
         what = "the process that renders pictures"
         super().__init__(what, _take_pictures, url, yaml_dump_typed(scenario))
 
     def take(self, time: float, positions: FloatArray) -> None:
-        """Have a picture taken of the plant with some positions, stamped with a time, s; earlier ones that
-        are still to be taken are left out."""
+        """Request a picture of the plant at some positions, stamped with a time, s; earlier requests not yet
+        started are dropped."""
         self.write(np.array([time, *positions], "<f8").tobytes())
 
 
@@ -238,7 +238,7 @@ def _take_pictures(url: str, scenario: str) -> None:
 
 
 def _read(source: int, size: int) -> bytes:
-    """So many bytes, or none where the input ends before."""
+    """Read `size` bytes, or none if the input ends earlier."""
     data = b""
     while len(data) < size:
         part = os.read(source, size - len(data))
@@ -250,27 +250,27 @@ def _read(source: int, size: int) -> bytes:
 
 @dataclass(frozen=True)
 class TwinReport:
-    """How the twin fares."""
+    """Status of the twin."""
 
     simulated: float  # s of simulated time
-    behind: float  # s by which it is behind real time since it began
-    pace: float  # simulated over real time, since the report before
-    commands: int  # of the arm that came and were good, since the report before
-    dropped: Mapping[str, Mapping[str, int]]  # messages that were not used until now, by channel and cause
+    behind: float  # s by which it is behind real time since the start
+    pace: float  # simulated over real time since the previous report
+    commands: int  # good commands to the arm since the previous report
+    dropped: Mapping[str, Mapping[str, int]]  # messages dropped so far, by channel and cause
 
 
 def report_words(report: TwinReport) -> str:
-    """How a twin fares, in one line."""
+    """Status of a twin in one line."""
     if report.simulated == 0.0:
-        return "it runs; Ctrl-C ends it"
+        return "running; Ctrl-C ends it"
     text = f"{report.simulated:.0f} s: {100 * report.pace:.0f} % of real time, {report.behind:.2f} s behind"
     if report.pace < 0.98:
-        text += ", larger steps help (simulation.time_step of the scenario)"
-    return f"{text}; {report.commands} commands to the arm since the line before{dropped_words(report)}"
+        text += " (a larger simulation.time_step in the scenario helps)"
+    return f"{text}; {report.commands} commands to the arm since the last line{dropped_words(report)}"
 
 
 def dropped_words(report: TwinReport) -> str:
-    """Which messages were dropped and why, to go on a sentence; empty where none were."""
+    """Dropped messages and causes, to continue a sentence; empty if there are none."""
     causes = [
         f"{channel} {count} times ({cause})"
         for channel, dropped in report.dropped.items()
@@ -286,19 +286,19 @@ def run_twin(
     *,
     until: float = float("inf"),
 ) -> TwinReport:
-    """Run the twin until Ctrl-C, or for some time, and say how it fares.
+    """Run the twin until Ctrl-C or for some time, and report its status.
 
-    It is for a process of its own, which has real-time priority from here on where the system allows it: a
-    cell does not wait for what drives it.
+    Run it in a separate process, which gets real-time priority if the system allows it, because a cell does
+    not wait for its driver.
 
     Args:
         url: see `network.open_lcm`.
-        report: called when it begins, and every 10 s.
-        until: simulated time at which it ends, s.
+        report: called at the start and every 10 s.
+        until: simulated time at which to end, s.
 
     Raises:
         HardwareError: see `network.open_lcm`.
-        ValueError, RendererUnavailable: as `Station`.
+        ValueError, RendererUnavailable: as for `Station`.
     """
     lcm = network.open_lcm(url)
     twin = CellTwin(scenario, lcm, camera=False)

@@ -1,1 +1,1 @@
-"""The robot's procedures as Diagrams, wired from the blocks, and how they are run to their end."""
+"""The robot's procedures as Diagrams wired from the blocks, and functions that run them."""

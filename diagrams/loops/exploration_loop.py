@@ -1,4 +1,4 @@
-"""The whole loop as one Diagram: see, choose, push, record, learn, and show what is believed."""
+"""The exploration loop as one Diagram: see, choose, push, record, learn, and show the belief."""
 
 from __future__ import annotations
 
@@ -42,56 +42,57 @@ from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 
 LONGEST_STEP = 0.005
-"""s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
+"""Longest time step of the hypotheses that run beside the real object, s; twice that moves the ends of taps
+by 1 mm."""
 
 SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
-"""Of the camera's poses, the arm's joint sensors and the force taken from its torques."""
+"""Noise of the camera's poses, of the arm's joint sensors, and of the force computed from its torques."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """What a run has recorded so far: enough for another process to go on from."""
+    """The recording of a run so far, from which another process can continue."""
 
-    trials: tuple[Trial, ...]  # that are complete, one or more
-    choices: tuple[Choice, ...]  # how they were asked for; as many
-    # where the simulated object lay after each, x and y in m, turn in degrees; None of a real one
+    trials: tuple[Trial, ...]  # complete trials, one or more
+    choices: tuple[Choice, ...]  # the choice behind each
+    # pose of the simulated object after each, x and y in m, rotation in degrees; None for a real one
     places: tuple[list[float] | None, ...]
-    grid: CellGrid  # the object as the camera made it out
-    first: FirstPicture  # the picture from which
-    watch: Watch | None = None  # what the monitor saw
-    repair: Repair | None = None  # how the model was repaired, where it was to adapt
+    grid: CellGrid  # the object as the camera detected it
+    first: FirstPicture  # the picture in which it did so
+    watch: Watch | None = None  # state of the monitor
+    repair: Repair | None = None  # how the model was repaired, if the run adapts
 
     @property
     def of_a_real_cell(self) -> bool:
-        """Whether it was recorded there, not in a simulation."""
+        """Whether it was recorded in a real cell, not in a simulation."""
         return self.places[-1] is None
 
     def all_to_learn_from(self) -> RecordedRun:
-        """Its pushes alone, every one to be learned from, also those that were made to judge."""
+        """Only its pushes, all of them to learn from, including those made to judge."""
         trials = tuple(replace(trial, role="fit") for trial in self.trials)
         return replace(self, trials=trials, watch=None, repair=None)
 
 
 Wire = tuple[Any, ...]
-"""A system, its output port, and whom it goes to: systems with an input of this name, or (system, input)."""
+"""A system, its output port, and the targets: systems with an input of the same name, or (system, input)."""
 
 Block = TypeVar("Block", bound=System)
 
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """What the loop is to do.
+    """Options of the exploration loop.
 
     Attributes:
-        pushes: to learn from.
-        checks: pushes after these that only judge the belief.
+        pushes: number of pushes to learn from.
+        checks: number of pushes after these that only judge the belief.
         strategy: one of `slipmap.planners.settings.STRATEGIES`.
         cells: wanted number of cells.
         hypotheses: K.
         seed: of every draw.
-        effects: of the library, which the model is given.
-        adapt: whether the model is repaired on the way: where pushes surprise it, they are diagnosed, and it
-            is given the effects that are named. Then every push teaches, and there are no `checks`.
+        effects: of the library, given to the model.
+        adapt: whether the model is repaired on the way: when pushes surprise it, they are diagnosed, and it
+            is given the effects that are named. Then every push is learned from, and there are no `checks`.
 
     Example:
         >>> import slipmap
@@ -110,20 +111,20 @@ class LoopOptions:
 
     def __post_init__(self) -> None:
         if self.adapt and self.checks:
-            raise ValueError("with adapt every push teaches: checks must be 0")
+            raise ValueError("with adapt every push is learned from: checks must be 0")
 
     @property
     def teaching(self) -> int:
-        """Pushes to learn from, at most."""
+        """Largest number of pushes to learn from."""
         return sys.maxsize if self.adapt else self.pushes
 
 
 def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> Diagram:
-    """The station with everything that explores the object on its table.
+    """Build the station with everything that explores the object on its table.
 
     Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `object_watch`,
-    `logger`, `identification`, `multiverse`, `model_monitor`, with Meshcat `belief_visualizer`, and with a
-    real cell `guard`.
+    `logger`, `identification`, `finger`, `multiverse`, `model_monitor`; with Meshcat also
+    `belief_visualizer`, with `adapt` also `diagnosis`, and with a real cell also `guard`.
 
     Args:
         parts: keyword arguments of `add_exploration`.
@@ -245,18 +246,18 @@ def add_exploration(
     """Add everything that explores, not yet connected.
 
     Args:
-        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
-        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
-        learned: called with every belief as it forms and the number of pushes that it comes from.
-        before: what an earlier process recorded, to go on from; the object lies where that one left it.
+        cell: the real cell, in place of the station; a guard stands between it and the executor.
+        worker: processes pictures, learns and plans; if None, the diagram does so itself and waits.
+        learned: called with each new belief and the number of pushes that it was learned from.
+        before: recording of an earlier process to continue; the object must lie where that one left it.
 
     Raises:
-        ScenarioError: an object, a surface or a hidden effect that cannot be had.
+        ScenarioError: an object, a surface or a hidden effect that cannot be made.
         ValueError: an unknown strategy.
         RendererUnavailable: this machine cannot render pictures.
     """
     try:
-        # Two runs of one scenario see other noise; the run of seed 0 sees the scenario's own.
+        # Runs of one scenario with different seeds see different noise; seed 0 keeps the scenario's own.
         noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)
         simulated = replace(scenario, depth_noise=noise)
         station = builder.AddSystem(Station(simulated, meshcat) if cell is None else cell)
@@ -328,18 +329,18 @@ def connect(builder: DiagramBuilder, wires: Sequence[Wire]) -> None:
 
 
 def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
-    """What a port of one of a loop's systems says; `root` is the Context of the loop."""
+    """Value of an output port of one of a loop's systems; `root` is the Context of the loop."""
     block = loop.GetSubsystemByName(system)
     return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
 def patience_for(scenario: Scenario, worker: Executor | None) -> float:
-    """s that the object may stay out of sight: no less than the pictures of twice a first look take."""
+    """Time that the object may stay out of sight, s: at least twice the time of a first look's pictures."""
     return max(PATIENCE if worker is None else PATIENCE_REAL, 2.0 * FRAMES / scenario.camera.rate)
 
 
 def hypothesis_step(time_step: float) -> float:
-    """s: whole steps of the plant, as events between two of them would cut a step in two."""
+    """Time step of the hypotheses, s: a multiple of the plant's, so that no event splits a step."""
     return min(time_step * max(1, int(LONGEST_STEP / time_step + 1e-9)), LONGEST_STEP)
 
 
@@ -347,7 +348,7 @@ def check_reach(scenario: Scenario, thing: TrueObject) -> None:
     """Refuse an object that the arm cannot push where it lies.
 
     Raises:
-        ScenarioError: says so, with how many pushes were tried.
+        ScenarioError: with the number of pushes tried.
     """
     x, y, degrees = scenario.object.pose
     pose = np.array([x, y, np.radians(degrees)])
@@ -361,13 +362,13 @@ def check_reach(scenario: Scenario, thing: TrueObject) -> None:
         )  # fmt: skip
     except NoReachablePush as error:
         raise ScenarioError(
-            f"object.pose: the arm can push {thing.name} at x = {x:g} m, y = {y:g} m nowhere; move it towards"
-            f" the middle of the table ({error})"
+            f"object.pose: the arm cannot push {thing.name} at x = {x:g} m, y = {y:g} m; move it towards the"
+            f" centre of the table ({error})"
         ) from error
 
 
 def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario) -> PushDataset:
-    """What the loop recorded, as a push dataset."""
+    """The loop's recording as a push dataset."""
     noise = replace(SENSORS, angle=UNSEEN_ANGLE) if all(map(angle_held, trials)) else SENSORS
     return dataset_of(
         trials,

@@ -1,4 +1,4 @@
-"""Runs the exploration loop to its end and takes out what it learned."""
+"""Runs the exploration loop to its end and returns what it learned."""
 
 from __future__ import annotations
 
@@ -40,31 +40,31 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import turn
 
-_LONGEST = 60.0  # s of simulated time for each push, after which the loop is given up, beside moving
-_LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take their time
+_LONGEST = 60.0  # s of simulated time per push, in addition to moving, after which the loop is given up
+_LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take time
 _WAY, _DOWN, _PUSHED = (
     4.0,
     0.8,
     0.3,
-)  # m that the finger goes for a push at most: over, down and up, on the table
+)  # m, longest distances of the finger for a push: above the table, down and up, on the table
 
 DOING = {
     "looking": "looking at the object",
     "choosing": "choosing a push",
-    "telling apart": "choosing the push that tells most",
+    "telling apart": "choosing the most informative push",
     "pushing": "pushing",
     "recording": "recording",
     "learning": "learning",
-    "diagnosing": "asking what surprised the model",
+    "diagnosing": "diagnosing the surprising pushes",
 }
 
 
-ROUND = "the object is round, as far as the camera sees: its angle is held"
-"""Said of an object whose angle cannot be seen."""
+ROUND = "the object looks round, so its angle is held fixed"
+"""Remark on an object whose angle cannot be seen."""
 
 
 class ExplorationFailed(RuntimeError):
-    """The loop gave up; the text says why. `run` is what was recorded until then, or None."""
+    """The loop gave up; the text says why. `run` is the recording until then, or None."""
 
     def __init__(self, text: str, run: ExplorationRun | None = None) -> None:
         super().__init__(text)
@@ -77,18 +77,18 @@ class ExplorationStopped(ExplorationFailed):
 
 @dataclass(frozen=True, eq=False)
 class ExplorationRun:
-    """What an exploration brought."""
+    """The result of an exploration."""
 
     dataset: PushDataset  # recorded pushes; those made to judge have the role `heldout`
-    identification: Identification  # what was learned from the others
-    watch: Watch  # what the monitor made of pushes that the belief of those before had predicted
-    true_object: TrueObject | None  # what the station put on the table; None in a real cell
-    # (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None in a
+    identification: Identification  # learned from the others
+    watch: Watch  # the monitor's judgement of pushes that earlier beliefs had predicted
+    true_object: TrueObject | None  # on the station's table; None in a real cell
+    # (3,) pose of the true object's frame in the frame S of the cells that the camera detected; None in a
     # real cell
     X_SO: FloatArray | None
-    simulated: float  # s of simulated time, or of the real cell's
-    seconds: float  # s that it took
-    repair: Repair | None = None  # how the model was repaired on the way, where it was to adapt
+    simulated: float  # s of simulated time, or of the real cell's time
+    seconds: float  # s of computing time
+    repair: Repair | None = None  # how the model was repaired on the way, if the run adapts
 
     @property
     def angle_seen(self) -> bool:
@@ -97,12 +97,12 @@ class ExplorationRun:
 
     @property
     def true_center_of_mass(self) -> FloatArray:
-        """(2,) of the object in the frame of the cells, m; only a simulation knows it."""
+        """(2,) true centre of mass in the frame of the cells, m; known only in a simulation."""
         assert self.true_object is not None and self.X_SO is not None
         return turn(self.X_SO[2]) @ self.true_object.center_of_mass[:2] + self.X_SO[:2]
 
     def truth(self) -> dict[str, Any] | None:
-        """The true values of what was learned, and how far off the belief is; None in a real cell."""
+        """True values of the learned quantities, and the belief's error; None in a real cell."""
         if self.true_object is None or self.X_SO is None:
             return None
         belief, true = self.identification.belief, self.true_center_of_mass
@@ -130,17 +130,17 @@ def explore(
     """Explore the object of a scenario.
 
     Args:
-        hardware: LCM address of a real cell, in which then the object is, or see `control.real_cell`;
-            simulated if None.
+        hardware: LCM address of a real cell that contains the object, or see `control.real_cell`; simulated
+            if None.
         meshcat: where to show it, if anywhere.
-        record: where pushes go as soon as they are recorded; what it raises ends the run.
-        before: what an earlier process recorded, to go on from.
-        learn_when_stopped: whether Ctrl-C leaves what can be learned from the pushes until then, for which
-            it takes its time, or ends the run at once.
+        record: where pushes go as soon as they are recorded; an error that it raises ends the run.
+        before: recording of an earlier process to continue.
+        learn_when_stopped: whether Ctrl-C still learns from the pushes made so far, which takes time, or ends
+            the run at once.
 
     Raises:
         ExplorationFailed: the object was lost, or the arm cannot make any push.
-        ExplorationStopped: Ctrl-C; it has what was recorded until then, where that is learned from.
+        ExplorationStopped: Ctrl-C; contains the run until then if `learn_when_stopped`.
         ValueError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
 
@@ -184,7 +184,7 @@ def explore(
 
 
 def longest_push(scenario: Scenario, *, real: bool) -> float:
-    """s for each push, after which a loop is given up; a slow arm and a slow camera have longer."""
+    """Time per push after which a loop is given up, s; longer for a slow arm or a slow camera."""
     moving = scenario.execution
     way = _WAY / moving.transit_speed + _DOWN / moving.lowering_speed + _PUSHED / moving.push_speed_limit
     pictures = 2.0 * FRAMES / scenario.camera.rate
@@ -197,9 +197,9 @@ class LoopEnd:
 
     status: LoopStatus  # last of the supervisor
     context: Context  # of the whole loop
-    X_SO: FloatArray | None  # (3,) see `ExplorationRun`; None where the object was never seen, too
+    X_SO: FloatArray | None  # (3,) see `ExplorationRun`; None also if the object was never seen
     interrupted: bool  # whether Ctrl-C ended it
-    seconds: float  # that it took, s
+    seconds: float  # duration, s
 
     @property
     def simulated(self) -> float:
@@ -209,7 +209,7 @@ class LoopEnd:
     @property
     def reason(self) -> str:
         """Why it ended, if it failed."""
-        return self.status.reason or f"not done after {self.simulated:.0f} s of simulated time"
+        return self.status.reason or f"not finished after {self.simulated:.0f} s of simulated time"
 
 
 def run_loop(
@@ -219,19 +219,19 @@ def run_loop(
     longest: float,
     watch: Callable[[LoopStatus, Context], None],
 ) -> LoopEnd:
-    """Run a loop until its supervisor is in one of its last modes, or Ctrl-C; it can be run once.
+    """Run a loop until its supervisor reaches a final mode, or until Ctrl-C; a loop can be run only once.
 
     Args:
         loop: with the systems of `exploration_loop`.
         supervisor: name of the system whose status counts.
-        last: modes.
-        longest: simulated time after which it is given up, s.
-        watch: called at every step, with the status and the loop's Context.
+        last: final modes.
+        longest: simulated time after which the loop is given up, s.
+        watch: called at every step with the status and the loop's Context.
 
     Raises:
         HardwareError: the real cell does not answer.
     """
-    gc.collect()  # the loop of a run before, which is large and goes round in circles
+    gc.collect()  # the loop of an earlier run, which is large and has reference cycles
     simulator = Simulator(loop)
     take_fixed_steps(simulator)
     context = simulator.get_mutable_context()
@@ -259,7 +259,7 @@ def run_loop(
 
     simulator.set_monitor(monitor)
     interrupted = False
-    gc.freeze()  # what there is until now lives longer than this run: the collector need not look at it
+    gc.freeze()  # all present objects outlive this run, so the collector need not check them
     try:
         with nullcontext(lambda: False) if simulated else stopped_by_ctrl_c(station) as pressed:
             simulator.AdvanceTo(longest)
@@ -280,7 +280,7 @@ def run_loop(
 def explored(
     loop: Diagram, ended: LoopEnd, scenario: Scenario, options: LoopOptions, report: Progress
 ) -> ExplorationRun | None:
-    """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
+    """The result of a loop that has ended; None if nothing was recorded to learn from."""
     started = time.perf_counter()
     station = loop.GetSubsystemByName("station")
     trials = output_of(loop, "logger", "trials", ended.context)
@@ -303,7 +303,7 @@ def explored(
 
 
 def _frames(loop: Diagram, root: Context) -> FloatArray:
-    """(3,) pose of the true object's frame in that of the cells, as seen now."""
+    """(3,) pose of the true object's frame in the frame of the cells as seen now."""
     X_WO = output_of(loop, "station", "truth.object_pose", root)
     seen = output_of(loop, "perception", "object_pose", root).pose
     place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])

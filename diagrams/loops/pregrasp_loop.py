@@ -1,4 +1,4 @@
-"""The whole pre-grasp procedure as one Diagram, and its run: explore, push to the edge, grasp and lift."""
+"""The pre-grasp procedure as one Diagram, and its run: explore, push to the edge, grasp and lift."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -44,23 +44,23 @@ BRINGS = {
     "planning": "planning",
     "pushing": "pushing",
     "recording": "recording",
-    "diagnosing": "asking what surprised the model",
+    "diagnosing": "diagnosing the surprising pushes",
     "grasping": "grasping at the edge",
     "lifting": "lifting",
     "holding": "holding",
 }
 
-_ENOUGH_SEEN = 0.85  # share of the cells that the camera has to see at a goal, past the arm
-_IN_THE_AIR = 0.05  # m, height of the object's lowest point over the table from which it is truly lifted
-_FALLEN = -0.05  # m, the same below which it truly fell
+_ENOUGH_SEEN = 0.85  # share of the cells that the camera must see past the arm at a goal
+_IN_THE_AIR = 0.05  # m, height of the object's frame above the table from which it has truly been lifted
+_FALLEN = -0.05  # m, the same height below which it has truly fallen
 
 
 @dataclass(frozen=True)
 class PregraspOptions:
-    """What the loop is to do.
+    """Options of the pre-grasp loop.
 
     Attributes:
-        exploration: how the object is explored; its seed is that of every draw.
+        exploration: how the object is explored; its seed is used for every draw.
         method: of planning, one of `slipmap.planners.settings.METHODS`.
         pushes: most pushes towards the edge.
 
@@ -83,21 +83,21 @@ def pregrasp_loop(
     worker: Executor | None = None,
     meshcat: Meshcat | None = None,
 ) -> Diagram:
-    """The exploration loop with everything that brings the object to the edge and lifts it.
+    """Build the exploration loop with everything that brings the object to the edge and lifts it.
 
-    To the systems of `exploration_loop` come `planner` and `pregrasp_supervisor`, which commands the arm.
+    It adds `planner` and `pregrasp_supervisor`, which commands the arm, to the systems of `exploration_loop`.
 
     Args:
-        cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
+        cell, worker: see `exploration_loop`; a real cell has no truth to plan with.
 
     Raises:
-        ScenarioError: also another finger, or stronger gravity, than grasps are planned for.
+        ScenarioError: also for a finger or a stronger gravity than grasps are planned for.
         ValueError, RendererUnavailable: see `exploration_loop`.
     """
     if scenario.execution.finger_radius != FINGER_RADIUS or scenario.gravity > GRAVITY:
         raise ScenarioError(
-            f"pregrasp: grasps are planned for pins with a radius of {FINGER_RADIUS:g} m and a gravity of"
-            f" {GRAVITY:g} m/s² at most; leave out execution.finger_radius and gravity, or explore alone"
+            f"pregrasp: grasps are planned for pins with a radius of {FINGER_RADIUS:g} m and a gravity of at"
+            f" most {GRAVITY:g} m/s²; leave out execution.finger_radius and gravity, or only explore"
         )
     builder = DiagramBuilder()
     blocks = add_exploration(
@@ -159,11 +159,11 @@ def pregrasp_loop(
 
 
 def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> Maps:
-    """The truth over the cells that the camera made out: each takes from the true cell that is nearest.
+    """The true maps on the cells that the camera detected, each taken from the nearest true cell.
 
     Args:
-        pose: x, y (m) and turn (degrees) at which it lay at the first look.
-        seen: what the camera made of it then.
+        pose: x, y (m) and rotation (degrees) of the object at the first look.
+        seen: the object as the camera saw it then.
 
     Returns:
         One hypothesis with the true total mass.
@@ -179,17 +179,17 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
 
 @dataclass(frozen=True, eq=False)
 class PregraspRun:
-    """What the whole procedure brought."""
+    """The result of the whole procedure."""
 
-    # what was recorded and learned; pushes towards the edge are in it too, to judge with
+    # recording and belief; includes the pushes towards the edge, for judging
     exploration: exploration_run.ExplorationRun
     options: PregraspOptions
-    held: bool  # whether the gripper holds the object, as the robot knows
+    held: bool  # whether the gripper holds the object, as far as the robot knows
     reason: str  # why it does not, else empty
-    # of pushes that were made towards the edge, and of the grasp where it came to that, in order
+    # of the pushes made towards the edge, and of the grasp if there was one, in order
     plans: tuple[PregraspPlan, ...]
-    true_height: float | None  # of the object's frame over the table at the end, m; None in a real cell
-    explorations: int  # pushes that explored, before those towards the edge
+    true_height: float | None  # final height of the object's frame above the table, m; None in a real cell
+    explorations: int  # number of exploration pushes, before those towards the edge
     interrupted: bool = False  # whether Ctrl-C ended it
 
     @property
@@ -199,9 +199,9 @@ class PregraspRun:
 
     @property
     def fate(self) -> str:
-        """What truly became of the object: held, fell, dropped (the robot was wrong about it), or gave up.
+        """The true outcome: held, fell, dropped (though the robot believed it held it), or gave up.
 
-        In a real cell it is what the robot knows, held or gave up.
+        In a real cell it is what the robot believes, held or gave up.
         """
         if self.true_height is None:
             return "held" if self.held else "gave up"
@@ -260,11 +260,11 @@ def pregrasp(
     Args:
         hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
         meshcat: where to show it, if anywhere.
-        progress: called with (stage, done, total) pushes; the total is 0 where it is not known.
-        record: where pushes go as soon as they are recorded; what it raises ends the run.
+        progress: called with (stage, done, total) pushes; the total is 0 if unknown.
+        record: where pushes go as soon as they are recorded; an error that it raises ends the run.
 
     Raises:
-        ExplorationFailed: before there was anything to learn from; `ExplorationStopped` where by Ctrl-C.
+        ExplorationFailed: nothing was recorded to learn from; `ExplorationStopped` if because of Ctrl-C.
         ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
 
@@ -289,7 +289,7 @@ def _run(
     progress: exploration_run.Progress | None,
     record: RunFolder | None,
 ) -> PregraspRun:
-    """Run a loop to its end; it may take some time (s) for each push."""
+    """Run a loop to its end, allowing `patience` (s) for each push."""
     report = progress or silent
     wanted = options.exploration.pushes + options.exploration.checks
     plans: dict[int, PregraspPlan] = {}
@@ -310,7 +310,7 @@ def _run(
         doing = BRINGS[status.mode]
         if status.mode in ("pushing", "recording"):
             doing = f"push {status.push - first + 1}, {doing}"
-        report(f"to the edge: {doing}", status.push - first, 0)  # nobody knows how many it takes
+        report(f"to the edge: {doing}", status.push - first, 0)  # the total is unknown
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 

@@ -1,6 +1,6 @@
-"""From messages of a cell that somebody else drives to recorded pushes, in the order of their stamps.
+"""Records pushes from the messages of a cell that somebody else drives, in the order of their stamps.
 
-`PushListener` hears messages and finds the pushes; `record_pushes` writes them down one by one.
+`PushListener` reads messages and finds the pushes; `record_pushes` writes them one by one.
 """
 
 from collections import Counter
@@ -33,36 +33,36 @@ from slipmap.models.measurements.writing import PushRecorder
 from slipmap.models.perception.seen_object import ObservedPose
 
 HEARD = (*ARM, *CAMERA)
-"""Channels that pushes are made out from."""
+"""Channels from which pushes are detected."""
 
 EVERY = 4
-"""Every so manieth push is held out to judge by, the others are to learn from."""
+"""Every 4th push is held out for judging; the others are for learning."""
 
-# s that the clock goes on at most between two messages of the arm: what came before a longer silence has
-# nothing to do with what comes after it.
+# Most that the clock advances between two messages of the arm, s: what precedes a longer silence is unrelated
+# to what follows it.
 _LONGEST_SILENCE = 2.0
 
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on a channel."""
+    """Statistics of a channel."""
 
     count: int  # messages, good and bad
-    rate: float  # a second, over the time in which they came; 0 of fewer than two
-    dropped: Mapping[str, int]  # bad ones, by their cause
+    rate: float  # messages per second while they came; 0 for fewer than two
+    dropped: Mapping[str, int]  # bad messages, by cause
 
 
 class PushListener:
-    """Hears messages, and finds the pushes that they show.
+    """Reads messages and finds the pushes in them.
 
-    Its diagram has the blocks of the exploration loop that look and write down (`CellPerception`,
-    `MeasurementLogger`), and `PushFinder` where executor and supervisor are. Its clock is that of the arm's
-    stamps: nothing depends on when a message came or how long it took to look at it, so that the same
-    messages in the same order give the same pushes, to the last bit. It sends nothing.
+    Its diagram has the exploration loop's blocks for perception and recording (`CellPerception`,
+    `MeasurementLogger`), with a `PushFinder` in place of executor and supervisor. Its clock follows the arm's
+    stamps: nothing depends on when a message arrived or how long its processing took, so the same messages in
+    the same order give bit-identical pushes. It sends nothing.
 
     Args:
-        scenario: what the cell is like; of the object nothing is used.
-        cells: wanted number.
+        scenario: of the cell; its object is not used.
+        cells: wanted number of cells.
     """
 
     def __init__(self, scenario: Scenario, name: str, cells: int = 60) -> None:
@@ -103,7 +103,7 @@ class PushListener:
         self._times: dict[str, tuple[int, int]] = {}
 
     def hear(self, event: Event) -> None:
-        """Take a message; others than of `HEARD` are counted alone."""
+        """Process a message; those of channels outside `HEARD` are only counted."""
         self._came[event.channel] += 1
         first, _ = self._times.get(event.channel, (event.utime, 0))
         self._times[event.channel] = (first, event.utime)
@@ -115,15 +115,15 @@ class PushListener:
             checked.take(checked.GetMyMutableContextFromRoot(self._root))
 
     def _go_on(self, data: bytes) -> bool:
-        """Let time pass until the arm's message was sent; whether it is to be looked at, since the last one
-        that was is `PERIOD` older, or it is a bad one."""
+        """Advance time to when the arm's message was sent; returns whether to process it: if it is `PERIOD`
+        later than the last one processed, or bad."""
         try:
             _, stamp = self._status.read(data)
             check_stamp(stamp, self._last)
         except BadMessage:
             return True
         if not np.isfinite(self._last):
-            # Half a period from the blocks' looks at their inputs, so that there is one between two messages.
+            # Half a period away from the blocks' updates, so that there is one between two messages.
             self._begin, self._last = stamp - 0.5 * PERIOD, stamp
         self._begin += max(stamp - self._last - _LONGEST_SILENCE, 0.0)
         self._last = stamp
@@ -134,22 +134,22 @@ class PushListener:
 
     @property
     def time(self) -> float:
-        """s of the arm's clock since its first message, less long silences."""
+        """Time of the arm's clock since its first message, without long silences, s."""
         return float(self._root.get_time())
 
     @property
     def pose(self) -> ObservedPose:
-        """What the camera says of the object."""
+        """Pose of the object as the camera sees it."""
         return self._said(self._perception, "object_pose")
 
     @property
     def descents(self) -> tuple[Descent, ...]:
-        """Every time that the finger was down, and what came of it."""
+        """Periods during which the finger was down, with their outcomes."""
         return self._said(self._finder, "descents")
 
     @property
     def given_up(self) -> str:
-        """Why what the finger does now is not a push yet; empty where it is up."""
+        """Why the finger's present motion is not a push yet; empty if it is up."""
         return self._finder.given_up(self._finder.GetMyContextFromRoot(self._root))
 
     @property
@@ -171,7 +171,7 @@ class PushListener:
         return replace(recorded_dataset(trials, grid, self._scenario), name=self._name)
 
     def heard(self) -> dict[str, Heard]:
-        """What came on every channel until now."""
+        """Statistics of every channel so far."""
         received: Mapping[str, Received] = self._cell.checked.received(self._root)
         result = {}
         for channel in (*HEARD, *sorted(self._came.keys() - set(HEARD))):
@@ -183,7 +183,7 @@ class PushListener:
         return result
 
     def silent(self) -> list[str]:
-        """Channels that are needed, and on which nothing good has come."""
+        """Required channels on which no valid message has come."""
         received = self._cell.checked.received(self._root)
         return [channel for channel in NEEDED if not received[channel].good]
 
@@ -192,7 +192,7 @@ class PushListener:
 
 
 Tell = Callable[[str], None]
-_TOLD_EVERY = 10.0  # s between two lines about what is heard
+_TOLD_EVERY = 10.0  # s between two status lines
 
 
 def record_pushes(
@@ -205,16 +205,18 @@ def record_pushes(
     most: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Listen until the events end, enough pushes are recorded, or somebody stops it.
+    """Listen until the events end, enough pushes are recorded, or it is stopped.
 
     Args:
         recorder: where each push goes as soon as it is over.
-        tell: called with a line when the object is first seen, when the finger was down, and now and then.
-        log: where all events go as they came, if anywhere.
-        stopped: whether it is to end; asked at every event.
+        tell: called with a line when the object is first seen, after each descent of the finger, and
+            regularly.
+        log: where all events go unchanged, if anywhere.
+        most: number of pushes after which to end, if any.
+        stopped: whether to end; called at every event.
 
     Raises:
-        BadLog, HardwareError: of the events.
+        BadLog, HardwareError: from the events.
         BadInput: the disk is full or the place not writable; names the file.
     """
     seen, described, spoke, expected = False, 0, None, 0
@@ -229,7 +231,7 @@ def record_pushes(
             continue
         if event.number > expected > 0:
             missing = event.number - expected
-            tell(f"{listener.time:.1f} s: {missing} messages were left out: this computer is too slow")
+            tell(f"{listener.time:.1f} s: {missing} messages were dropped, because this computer is too slow")
         expected = event.number + 1
         if log is not None:
             with writing(Path(log.name)):
@@ -249,18 +251,18 @@ def record_pushes(
 
 def _words(descent: Descent, pushes: int) -> str:
     when = f"the finger was down from {descent.begin:.1f} to {descent.end:.1f} s"
-    return f"{when}; push {pushes} is kept" if descent.kept else f"{when}; no push: {descent.reason}"
+    return f"{when}; push {pushes} is kept" if descent.kept else f"{when}; not a push: {descent.reason}"
 
 
 def hearing(listener: PushListener) -> str:
-    """What is heard, in a line."""
+    """One line about the messages received."""
     heard = listener.heard()
     rates = ", ".join(f"{name} {heard[name].rate:.3g} Hz" for name in HEARD if heard[name].count > 1)
     parts = [rates or "nothing"]
     parts += [f"dropped {sum(h.dropped.values())} of {name}" for name, h in heard.items() if h.dropped]
     silent = listener.silent()
     if silent:
-        parts.append(f"nothing good on {', '.join(silent)}")
+        parts.append(f"no valid message on {', '.join(silent)}")
     else:
         pose = listener.pose
         parts.append("the object is seen" if pose.valid else f"the object is not seen ({pose.reason})")
@@ -268,7 +270,7 @@ def hearing(listener: PushListener) -> str:
 
 
 def listened_json(listener: PushListener) -> dict[str, Any]:
-    """What was heard and found, for a JSON file."""
+    """Messages received and pushes found, for a JSON file."""
     return {
         "seconds": listener.time,
         "pushes": listener.pushes,
@@ -288,15 +290,15 @@ def why_none(listener: PushListener) -> str:
     silent = listener.silent()
     if silent:
         heard = [name for name, h in listener.heard().items() if h.count]
-        came = f"; what came is {', '.join(heard)}" if heard else ""
-        return f"no good message came on {', '.join(silent)}{came}; see that the cell's drivers run there"
+        came = f" (messages came on {', '.join(heard)})" if heard else ""
+        return f"no valid message came on {', '.join(silent)}{came}; check that the cell's drivers run"
     reasons = [descent.reason for descent in listener.descents] + [listener.given_up]
     found = ", ".join(dict.fromkeys(reason for reason in reasons if reason))
     if found:
         return f"the finger was down, but no push was recorded: {found}"
     if not listener.pose.valid:
         return (
-            f"the object was not seen ({listener.pose.reason}); see that the scenario's camera is that of the"
-            " cell, and let the object rest for two seconds with the arm out of the camera's way"
+            f"the object was not seen ({listener.pose.reason}); check that the scenario's camera is the"
+            " cell's, and let the object rest for two seconds with the arm out of the camera's view"
         )
     return "the finger never came down beside the object"

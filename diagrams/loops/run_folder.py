@@ -1,8 +1,8 @@
-"""The folder of a run of the robot's cell: its pushes, written while it goes on, and `run.json` about them.
+"""The folder of a run of the robot cell: its pushes, written while it runs, and `run.json` about them.
 
-A `RunFolder` keeps the pushes, `PregraspFolder` and `ExplorationFolder` what their commands need besides; a
-killed exploration loses nothing and can be gone on with (`resumed`). A `Recording` has written down what a
-loop records. Pushes of an ended run give way to the same command alone (`refuse_others_files`).
+A `RunFolder` keeps the pushes; `PregraspFolder` and `ExplorationFolder` add what their commands need. A
+killed exploration loses nothing and can be continued (`resumed`). A `Recording` writes what a loop records.
+Only the same command may replace the pushes of a finished run (`refuse_others_files`).
 """
 
 import dataclasses
@@ -36,36 +36,36 @@ FORMAT = "slipmap-exploration/1"
 """Format of the `run.json` of `slipmap explore`."""
 
 PREGRASP = "slipmap-pregrasp/1"
-"""The same of `slipmap pregrasp`."""
+"""Format of the `run.json` of `slipmap pregrasp`."""
 
-_NOTED = 20  # rows of a push under way after which it is written down, at 100 a second
+_NOTED = 20  # new rows of a push under way after which they are written, at 100 per second
 
 
 def read_run(folder: Path, format_: str) -> dict[str, Any]:
-    """What `run.json` says of the run in a folder.
+    """Read the `run.json` of the run in a folder.
 
     Raises:
-        BadInput: there is none, or that of another command.
+        BadInput: there is none, or it is from another command.
     """
     path = folder / RUN
     try:
         run = json.loads(read_bytes(path))
     except DatasetError as error:
-        raise BadInput(f"{error}; begin anew") from error
+        raise BadInput(f"{error}; start a new run") from error
     except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); begin anew") from error
+        raise BadInput(f"{path}: cannot be read ({error}); start a new run") from error
     if not isinstance(run, dict) or run.get("format") != format_:
-        raise BadInput(f"{path}: is not the file of a run that this slipmap knows ({format_})")
+        raise BadInput(f"{path}: is not from a run that this version of slipmap knows ({format_})")
     return run
 
 
 def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -> None:
-    """Refuse a folder in which a run would replace what no earlier run of the same command left.
+    """Refuse a folder in which a run would replace files other than those of an earlier run of its command.
 
     Args:
-        format_: that `run.json` has after such a run.
+        format_: of the `run.json` of such a run.
         command: such as `slipmap explore`.
-        files: beside the pushes, that a run replaces.
+        files: that a run replaces in addition to the pushes.
 
     Raises:
         BadInput: names the folder, and `--out`.
@@ -81,29 +81,29 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
         run = {}
     if run.get("ended") is not True or not _holds(pushes, run.get("pushes")):
         raise BadInput(
-            f"{present[0]}: is not of an earlier run of `{command}` that ended, and would be lost; choose"
+            f"{present[0]}: is not from a finished earlier run of `{command}` and would be lost; choose"
             " another folder with --out, or move it away"
         )
 
 
 def refuse_robots_pushes(folder: Path, option: str) -> None:
-    """Refuse a folder with pushes of a robot's cell, which cannot be made again, to a command that has none.
+    """Refuse a folder with pushes of a robot cell, which cannot be repeated, for a command that makes none.
 
     Args:
-        option: that names another.
+        option: that chooses another folder.
 
     Raises:
         BadInput: names both.
     """
     if (folder / RUN).exists() and (folder / PUSHES).exists():
         raise BadInput(
-            f"{folder}: holds a run of the robot's cell, whose pushes would be lost; choose another folder"
+            f"{folder}: holds a run of the robot cell, whose pushes would be lost; choose another folder"
             f" with {option}"
         )
 
 
 def _digests_of(trials: Sequence[Trial]) -> list[str]:
-    """Digests of trials' files, by which `run.json` knows them."""
+    """Digests of trials' files, by which `run.json` identifies them."""
     return [hashlib.sha256(trial_text(trial).encode()).hexdigest() for trial in trials]
 
 
@@ -125,7 +125,7 @@ def keep_trials(recorder: PushRecorder, dataset: PushDataset) -> None:
     """Write the trials of a dataset that are not there yet.
 
     Raises:
-        BadInput: the disk is full or the place not writable; names the file, and what to do.
+        BadInput: the disk is full or the place not writable; names the file and the remedy.
     """
     try:
         recorder.keep(dataset)
@@ -135,16 +135,16 @@ def keep_trials(recorder: PushRecorder, dataset: PushDataset) -> None:
 
 
 class RunFolder:
-    """Keeps the pushes of a run as a dataset in its folder, and what is measured of the push under way.
+    """Keeps the pushes of a run as a dataset in its folder, and the measurements of the push under way.
 
-    The latter is no trial, as nobody knows where the object comes to rest; it stays in `under_way.json` where
-    the run ends in the midst of a push.
+    The latter are not a trial, because it is unknown where the object comes to rest. They stay in
+    `under_way.json` if the run ends in the middle of a push.
 
     Args:
-        kept: pushes of this run that are in the folder already.
+        kept: number of this run's pushes already in the folder.
 
     Raises:
-        BadInput: files that are no part of a dataset stand where it should be.
+        BadInput: the dataset's place holds files that are not part of one.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, kept: int = 0) -> None:
@@ -156,26 +156,27 @@ class RunFolder:
             raise BadInput(str(error)) from error
 
     def keep(self, recorded: RecordedRun) -> None:
-        """Write the pushes that are not there yet. Raises BadInput as `keep_trials`."""
+        """Write the pushes that are not there yet. Raises BadInput like `keep_trials`."""
         keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
         (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
-        """Write down what is measured so far of the push under way.
+        """Write the measurements so far of the push under way.
 
         Args:
-            rows: of each channel, as in a trial's file but with the run's time.
+            push: its number, from 0.
+            rows: of each channel, as in a trial's file but in the run's time.
 
         Raises:
-            BadInput: as `keep`.
+            BadInput: like `keep`.
         """
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
 
     def end(self) -> None:
-        """Say that the run came to its end, for better or worse: it may be replaced by another.
+        """Mark the run as ended, successfully or not, so that another may replace it.
 
         Raises:
-            BadInput: as `keep`.
+            BadInput: like `keep`.
         """
         if self._run is not None:
             self._run["ended"] = True
@@ -183,10 +184,10 @@ class RunFolder:
 
 
 class PregraspFolder(RunFolder):
-    """The folder of `slipmap pregrasp`: its run cannot be gone on with.
+    """The folder of `slipmap pregrasp`, whose run cannot be continued.
 
     Raises:
-        BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
+        BadInput: the folder has pushes that are not from a finished earlier run of the command.
     """
 
     def __init__(self, folder: Path, scenario: Scenario) -> None:
@@ -202,10 +203,10 @@ class PregraspFolder(RunFolder):
 
 
 class Recording:
-    """A run that is being written: what its loop records goes to a folder as soon as it is there.
+    """A run that is being written: its loop's recording goes to a folder as soon as it is there.
 
     Args:
-        before: pushes that are kept already.
+        before: pushes that are already kept.
     """
 
     def __init__(self, loop: Diagram, record: RunFolder, before: RecordedRun | None = None) -> None:
@@ -213,10 +214,10 @@ class Recording:
         self._choices = () if before is None else before.choices
         self._places = () if before is None else before.places
         self._noted = 0
-        self._found: tuple[Any, ...] | None = None  # pushes that were judged and the repair, as kept last
+        self._found: tuple[Any, ...] | None = None  # judged pushes and repair, as last kept
 
     def look(self, root: Context) -> None:
-        """Write down what is new; to be called often. Raises BadInput as `RunFolder.keep`."""
+        """Write whatever is new; call it often. Raises BadInput like `RunFolder.keep`."""
         trials = output_of(self._loop, "logger", "trials", root)
         watch = output_of(self._loop, "model_monitor", "watch", root)
         adapts = self._loop.HasSubsystemNamed("diagnosis")
@@ -243,7 +244,7 @@ class Recording:
             self._record.note(len(trials), rows)
 
     def _place(self, root: Context) -> list[float] | None:
-        """x and y (m) and turn (degrees) of the simulated object."""
+        """x and y (m) and rotation (degrees) of the simulated object; None in a real cell."""
         if not self._loop.GetSubsystemByName("station").HasOutputPort("truth.object_pose"):
             return None
         X_WO = output_of(self._loop, "station", "truth.object_pose", root)
@@ -253,18 +254,18 @@ class Recording:
 
 
 class ExplorationFolder(RunFolder):
-    """The folder of `slipmap explore`, in step with the run.
+    """The folder of `slipmap explore`, kept up to date with the run.
 
-    Beside the pushes it holds what another process needs to go on: scenario, options, the picture from which
-    the object was cut into cells, and for each push how it was asked for. All of it names each other by
-    digests, so that files of two runs are never mixed.
+    In addition to the pushes it holds what another process needs to continue: the scenario, the options, the
+    picture from which the object was divided into cells, and the choice behind each push. `run.json`
+    identifies the files by digests, so that files of two runs are never mixed.
 
     Args:
-        before: what is in the folder already, of a run that is gone on with.
+        before: content of the folder, if its run is continued.
 
     Raises:
-        BadInput: a run that was cut off is there, files that are no part of one, or pushes that no earlier
-            run of the command left.
+        BadInput: the folder has an interrupted run, files that are not part of a run, or pushes that are not
+            from an earlier run of the command.
     """
 
     def __init__(
@@ -280,7 +281,7 @@ class ExplorationFolder(RunFolder):
             self._run = read_run(folder, FORMAT)
 
     def keep(self, recorded: RecordedRun) -> None:
-        """See `RunFolder.keep`; an error also says what is kept, and how to go on."""
+        """See `RunFolder.keep`; an error also says what is kept and how to continue."""
         if self._run is None:
             self._run = self._begin(recorded)
         self._run["pushes"] = [
@@ -316,33 +317,35 @@ class ExplorationFolder(RunFolder):
 
     @contextmanager
     def going_on(self, kept: int) -> Iterator[None]:
-        """Add to the error of what could not be written how many pushes are kept, and how to go on."""
+        """Add to a write error how many pushes are kept and how to continue."""
         try:
             yield
         except BadInput as error:
             if not kept:
                 raise
-            pushes = f"the {kept} pushes before are" if kept > 1 else "the push before is"
+            pushes = f"the {kept} earlier pushes are" if kept > 1 else "the earlier push is"
             raise BadInput(
-                f"{error}; {pushes} kept, go on with `slipmap explore --resume {self._folder}`"
+                f"{error}; {pushes} kept, continue with `slipmap explore --resume {self._folder}`"
             ) from error
 
 
 def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
-    """What to go on with: the scenario with the simulated object where it was left, options, and pushes.
+    """Load a run to continue: the scenario with the simulated object where it was left, options, and pushes.
 
     Raises:
-        BadInput: there is no run in the folder, or a file of it is missing or of another run.
+        BadInput: the folder has no run, or a file of it is missing or belongs to another run.
     """
     if not (folder / RUN).is_file():
         raise BadInput(
-            f"{folder}: holds no run of `slipmap explore` that recorded a push; begin one with --out {folder}"
+            f"{folder}: holds no run of `slipmap explore` that recorded a push; start one with --out {folder}"
         )
     run = read_run(folder, FORMAT)
     try:
         for name, digest in run["digests"].items():
             if _digest_of(folder / name) != digest:
-                raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
+                raise BadInput(
+                    f"{folder / name}: does not belong to the run in {folder / RUN}; start a new run"
+                )
         scenario = read_settings(folder / SCENARIO, Scenario)
         stored = run["options"]
         options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
@@ -358,11 +361,14 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise BadInput(f"{folder}: the run in it cannot be continued ({error}); begin anew") from error
+        raise BadInput(f"{folder}: its run cannot be continued ({error}); start a new run") from error
     if digests != [_digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
-        raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
+        raise BadInput(f"{folder / PUSHES}: its pushes are not those of {folder / RUN}; start a new run")
     if not np.array_equal(grid.centers, dataset.grid.centers):
-        raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
+        raise BadInput(
+            f"{folder}: this version of slipmap divides the object into other cells than the recorded ones;"
+            " start a new run"
+        )
     if places[-1] is not None:
         scenario.object.pose = places[-1]
     return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first, watch, repair)
@@ -372,16 +378,16 @@ def _refuse_cut_off(folder: Path) -> None:
     try:
         run = read_run(folder, FORMAT)
     except BadInput:
-        return  # none, or none that could be gone on with
+        return  # none, or none that could be continued
     if not run.get("ended") and run.get("pushes"):
         raise BadInput(
-            f"{folder}: holds a run that was cut off, with pushes recorded: {len(run['pushes'])}; go on with"
+            f"{folder}: holds an interrupted run with pushes recorded: {len(run['pushes'])}; continue with"
             f" `slipmap explore --resume {folder}`, or choose another folder with --out"
         )
 
 
 def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
-    """The object with paths that do not depend on the working folder."""
+    """The object with absolute paths."""
 
     def absolute(path: str | None) -> str | None:
         return None if path is None else str(Path(path).resolve())

@@ -1,11 +1,12 @@
-"""The depth camera over the table: its parameters and how it comes into a Diagram.
+"""The depth camera above the table: its parameters, and adding it to a Diagram.
 
-A renderer in the plant's own scene graph would get the pose of every shape at every step, as contacts are
-found there: with the station's eighty shapes that takes as long as the dynamics of the arm. So the camera has
-a scene graph of its own, which is brought up to date only when a picture is taken.
+A renderer in the plant's own scene graph would get the pose of every shape at every step, because contacts
+are
+computed there: for the station's eighty shapes that takes as long as the dynamics of the arm. So the camera
+has its own scene graph, which is updated only when a picture is taken.
 """
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+# Annotations stay objects, because Drake's YAML reader inspects them.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,28 +27,28 @@ from slipmap.models.perception.pinhole_camera import PinholeCamera
 from slipmap.models.settings import CheckedSettings, within
 
 NEAREST, FARTHEST = 0.2, 4.0
-"""Of depth readings, m."""
+"""Range of depth readings, m."""
 
 
 @dataclass
 class CameraConfig(CheckedSettings):
-    """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m."""
+    """Camera that looks straight down on the table; by default it sees all of a table of radius 0.5 m."""
 
     _section = "camera."
 
-    height: float = within(1.1, 0.3, FARTHEST - 0.1)  # of the camera over the table, m
+    height: float = within(1.1, 0.3, FARTHEST - 0.1)  # of the camera above the table, m
     position: list[float] = field(default_factory=lambda: [0.0, 0.0])  # (x, y) of the camera in W, m
-    # turn of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y
+    # rotation of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y
     yaw: float = 0.0
-    # field of view from the picture's top to its bottom, rad
+    # vertical field of view of the picture, rad
     fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
     # width, height_pixels: picture size
     width: int = within(640, 16, 4096)
     height_pixels: int = within(480, 16, 4096)
-    rate: float = within(15.0, 0.1, 1000.0)  # pictures a second, Hz
+    rate: float = within(15.0, 0.1, 1000.0)  # pictures per second, Hz
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         super().check()
         if len(self.position) != 2 or not np.isfinite(self.position).all():
             raise ValueError(f"camera.position must be x and y in m, got {self.position}")
@@ -68,13 +69,13 @@ class CameraConfig(CheckedSettings):
 
     @property
     def intrinsics(self) -> PinholeCamera:
-        """The camera's intrinsics, for pixel coordinates that are whole numbers at the pixels' centres."""
+        """The camera's intrinsics, for pixel coordinates that are integers at pixel centres."""
         center = (self.width - 1) / 2, (self.height_pixels - 1) / 2
         return PinholeCamera(self.width, self.height_pixels, self.focal, self.focal, *center)
 
     def _camera_info(self) -> CameraInfo:
-        # The VTK renderer counts the principal point from the picture's corner, not from the first pixel's
-        # centre: with Drake's default centre, (width - 1) / 2, pictures are half a pixel off.
+        # The VTK renderer measures the principal point from the picture's corner, not from the centre of the
+        # first pixel: with Drake's default, (width - 1) / 2, pictures are off by half a pixel.
         return CameraInfo(
             self.width, self.height_pixels, self.focal, self.focal, self.width / 2, self.height_pixels / 2
         )
@@ -89,18 +90,18 @@ def add_camera(
     """Add a camera that renders colour and depth, fixed in the world.
 
     The sensor's ports are named `color_image`, `depth_image_32f` and `body_pose_in_world`, which is X_WC. A
-    picture is rendered when its port is evaluated, and at most once a time step; whoever reads it sets the
-    rate, and sees the state at that very time.
+    picture is rendered when its port is evaluated, at most once per time step; the reader determines the rate
+    and sees the state at that time.
 
     Args:
-        builder: gets the sensor, and its scene graph, named `picture_scene`.
-        plant, scene_graph: the world, finalized; nothing may be added to it afterwards. What is to be seen
-            needs a perception role, which `plant.RegisterVisualGeometry` gives.
+        builder: gets the sensor and its scene graph, named `picture_scene`.
+        plant, scene_graph: the world, finalized; nothing may be added to it afterwards. Visible shapes need a
+            perception role, which `plant.RegisterVisualGeometry` gives them.
 
     Raises:
         ValueError: the plant is not finalized.
-        RendererUnavailable: the system's libraries for rendering are missing; the text says which packages
-            bring them.
+        RendererUnavailable: system libraries for rendering are missing; the text names the packages that
+            provide them.
     """
     config = config or CameraConfig()
     require_renderer()
@@ -126,7 +127,7 @@ def _add_picture_scene(
     builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: geometry.SceneGraph
 ) -> geometry.SceneGraph:
     if not plant.is_finalized():
-        raise ValueError("picture scene: finalize the plant first, so that all that can be seen is there")
+        raise ValueError("picture scene: finalize the plant first, so that all visible shapes are there")
     scene = builder.AddNamedSystem("picture_scene", geometry.SceneGraph())
     source = scene.RegisterSource("pictures")
     inspector = scene_graph.model_inspector()

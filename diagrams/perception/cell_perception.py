@@ -1,6 +1,6 @@
 """Perception as a block: depth pictures in, the object's cells and pose out.
 
-Pictures are looked at by a thread or a worker, while the world moves on.
+A thread or a worker processes the pictures while the world moves on.
 """
 
 import gc
@@ -31,23 +31,23 @@ from slipmap.models.perception.seen_object import ObservedPose, Reason, SeenObje
 from slipmap.models.physics.cell_grid import FloatArray
 
 FRAMES = 15
-"""Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
+"""Pictures of the object at rest in the first look; an odd number keeps its edges sharp."""
 
-_KNOWN_AFTER = 0.5  # of the time between two pictures; for so long one is looked at
+_KNOWN_AFTER = 0.5  # of the time between two pictures, allowed for processing one
 OLD = 3
-"""Pictures that may fail to come before the last one is too old."""
+"""Missing pictures after which the last one is too old."""
 
-_NO_JOB: tuple[Any, tuple[DepthImage, ...]] = (None, ())  # and pictures that were not sent along
+_NO_JOB: tuple[Any, tuple[DepthImage, ...]] = (None, ())  # and pictures that were not sent with it
 _STILL = np.array([1e-3, 1e-3, np.deg2rad(0.5)])  # m, m, rad between two pictures of an object at rest
-_TRIED_EVERY = 5  # pictures; also as many of the first and of the last are compared
-_AT_REST = 1.0  # pixels that the object may seem to move between them
+_TRIED_EVERY = 5  # pictures; this many of the first and of the last are compared
+_AT_REST = 1.0  # pixels by which the object may seem to move between them
 
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """State: pictures gathered for the first look, what it found, and what is known since.
+    """State: pictures collected for the first look, its result, and the observations since.
 
-    `doubtful` after a torn picture: those after it may be torn in the same place, where no row comes twice.
+    `doubtful` is set after a torn picture: later ones may be torn in the same place without repeating a row.
     """
 
     observed: ObservedPose
@@ -61,7 +61,7 @@ class _Memory:
 
 @dataclass(frozen=True, eq=False)
 class _Glance:
-    """What the inputs say at one time; `picture` (H, W) is None before the first."""
+    """Values of the inputs at one time; `picture` (H, W) is None before the first."""
 
     picture: DepthImage | None
     X_WC: bytes
@@ -72,14 +72,14 @@ class _Glance:
 
 @dataclass(frozen=True)
 class _Eye:
-    """How pictures are looked at; `oldest` (s) may be the newest picture."""
+    """Processing of pictures; `oldest` (s) is the largest age of the newest picture."""
 
     camera: PinholeCamera
     cells: int
     oldest: float
 
     def looked(self, memory: _Memory, glance: _Glance) -> _Memory:
-        """What is known after another look."""
+        """The state after another look."""
         camera, picture, age, time = self.camera, glance.picture, glance.age, glance.time
         if picture is None or not np.isfinite(age):
             return replace(memory, observed=ObservedPose.unseen("no picture", time))
@@ -111,11 +111,12 @@ class _Eye:
         return replace(memory, observed=observed, last_pose=last, doubtful=doubtful)
 
     def looked_in_thread(self, memory: _Memory, glance: _Glance) -> _Memory:
-        """As `looked`, without Python's garbage collector.
+        """Like `looked`, with Python's garbage collector disabled.
 
-        It would free in this thread whatever is found, such as the diagram of a run before, whose renderer
-        must not be freed in another thread than the one that made it. What is newest is collected here at
-        the end: else the collector, which counted meanwhile, would begin with everything as soon as it may.
+        The collector could free anything in this thread, such as the diagram of an earlier run, whose
+        renderer must be freed in the thread that made it. At the end the youngest generation is collected
+        here: otherwise the collector, whose counters kept running, would start a full collection as soon as
+        it is enabled.
         """
         enabled = gc.isenabled()
         gc.disable()
@@ -140,7 +141,7 @@ class _Eye:
             )
             moved = float(np.hypot(*(end - begin)))
             if moved > _AT_REST:
-                detail = f"what stands on the table moves, by {moved:.1f} pixels while it is looked at"
+                detail = f"the object on the table moved by {moved:.1f} pixels during the first look"
                 return replace(memory, observed=ObservedPose.unseen("no object", time, detail), frames=later)
             seen = first_look(frames, view, self.cells, blocked)
         except (ObjectNotSeen, NoTable) as error:
@@ -156,34 +157,35 @@ class _Eye:
 
 
 class CellPerception(PythonSystem):
-    """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
+    """Finds the object on the table, divides it into cells, and tracks its pose from picture to picture.
 
     Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position` (optional), (7,) joint
-    angles with which the arm is masked in the picture; `image_age` (optional), (1,) s since the picture was
-    taken, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the
-    first look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the
-    `FirstPicture` from which it comes, or None.
+    angles used to mask the arm in the picture; `image_age` (optional), (1,) time since the picture was taken,
+    s,
+    else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid`, or None until the first look
+    is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture` that it
+    is derived from, or None.
 
-    The inputs are read at the camera's rate, and what they show is known half a picture's period later, with
-    the time at which it was seen. The first look takes `FRAMES` pictures between which the object
-    does not move; it goes on until there are such, with the arm not near the object. It defines the object
-    frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
-    is not valid, and "no object" or "occluded" its reason.
+    The inputs are read at the camera's rate. The result appears half a period later, with the time at which
+    it was seen. The first look takes `FRAMES` pictures during which the object does not move; it continues
+    until it has them, with the arm away from the object. It defines the object frame: origin at the centroid
+    of the footprint's area, axes parallel to the world's. Until then the pose is invalid, with the reason "no
+    object" or "occluded".
 
-    A picture that was seen before, by its age or because each of its rows was, says nothing new; after three
-    pictures that did not come the pose is not valid. Nor is it where the picture is torn, that is, has rows
-    of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
-    reading. A camera without noise repeats rows whenever nothing moves: whether this one does is found out
-    during the first look, before which torn and repeated pictures are not noticed.
+    A picture seen before, as shown by its age or because all of its rows are repeated, gives no new
+    information; after three missing pictures the pose becomes invalid. It is also invalid if the picture is
+    torn, that is, contains rows of an earlier one, and from then on until the object rests; or if a tenth
+    more pixels than usual have no reading. A camera without noise repeats rows whenever nothing moves: the
+    first look determines whether this one does, and until then torn and repeated pictures are not detected.
 
     Args:
         cells: wanted number of cells.
-        arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
-            is never in the picture.
-        worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
-            this process, for which the simulation waits when it is not done in time.
-        known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
-            is no first look then.
+        arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm is
+            never in the picture.
+        worker: processes the pictures and skips those that come meanwhile. If None, a thread of this process,
+            for which the simulation waits if it is not done in time.
+        known: the first picture of an earlier process and the (3,) pose at which it last saw the object; with
+            them there is no first look.
 
     Raises:
         ValueError: a number of cells below 1.
@@ -239,7 +241,7 @@ class CellPerception(PythonSystem):
         if read(state, self._job)[0] is not None:
             return
         memory: _Memory = read(state, self._memory)
-        # Pictures gathered for the first look are large; a worker gets them when there are enough.
+        # Pictures collected for the first look are large; a worker gets them only when there are enough.
         few = memory.seen is None and len(memory.frames) + 1 < FRAMES
         kept = memory.frames if few else ()
         sent = replace(memory, frames=()) if few else memory
@@ -248,7 +250,7 @@ class CellPerception(PythonSystem):
         replace_held(state, self._job, (job, kept))
 
     def _take(self, context: Any, state: Any) -> None:
-        """Remember what has been seen, if it is known by now."""
+        """Store the result of the last look, if it is ready."""
         job, kept = read(context, self._job)
         if job is None or not (self._waits or job.done()):
             return

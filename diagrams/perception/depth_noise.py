@@ -1,9 +1,9 @@
-"""Noise of a depth camera: Drake renders perfect depth, real cameras do not measure it.
+"""Noise of a depth camera: Drake renders perfect depth, which real cameras do not measure.
 
-All of it stands in one file, so that numba compiles it anew whenever something in it changes.
+Everything is in one file, so that numba recompiles it whenever any of it changes.
 """
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+# Annotations stay objects, because Drake's YAML reader inspects them.
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,14 +17,14 @@ from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 from slipmap.models.settings import CheckedSettings, within
 
-_STEP = 0.01  # m; depth jumps more than this at an edge
+_STEP = 0.01  # m; larger jumps of depth count as an edge
 
 _compiled = compiled(LONE_FOLDER)
 
 
 @_compiled
 def _random_bits(state):  # type: ignore[no-untyped-def]
-    """64 bits that seem to have nothing to do with those of another state (SplitMix64)."""
+    """64 pseudo-random bits of a state (SplitMix64)."""
     bits = state
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -37,8 +37,8 @@ def _draw_row(state, terms, numbers, chances):  # type: ignore[no-untyped-def]
 
     Args:
         state: uint64.
-        terms: how many uniform numbers, 1 or a multiple of 4, are added to one of `numbers`.
-        numbers: (3, w) result, of mean 0 and standard deviation 1.
+        terms: number of uniform numbers, 1 or a multiple of 4, summed for each of `numbers`.
+        numbers: (3, w) result, with mean 0 and standard deviation 1.
         chances: (w,) result, from 0 up to 1.
     """
     scale = np.float32(np.sqrt(12.0 / terms) / 65536)
@@ -47,7 +47,7 @@ def _draw_row(state, terms, numbers, chances):  # type: ignore[no-untyped-def]
     for column in range(numbers.shape[1]):
         state += next_state
         bits = _random_bits(state)
-        # One draw serves for four numbers of 16 bits.
+        # One draw gives four numbers of 16 bits.
         chances[column] = share * np.float32(np.int32(bits & low))
         if terms == 1:
             numbers[0, column] = scale * (np.float32(np.int32((bits >> np.uint64(16)) & low)) - middle)
@@ -68,7 +68,7 @@ def _draw_row(state, terms, numbers, chances):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _jumps(depth, row, beyond, high, low, jump):  # type: ignore[no-untyped-def]
-    """By how much depth (H, W) differs among the neighbours of a row's pixels, with `beyond` for infinity.
+    """Range of depth (H, W) among the neighbours of each pixel in a row, with `beyond` for infinity.
 
     `high` and `low` (W,) are scratch, `jump` (W,) is the result, m.
     """
@@ -89,17 +89,17 @@ def _jumps(depth, row, beyond, high, low, jump):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-untyped-def]
-    """What a camera measures of a noise-free picture.
+    """Turn a noise-free picture into a camera's measurement.
 
-    Works row by row, so that all but the pictures stays in the processor's cache.
+    It works row by row, so that everything except the pictures stays in the processor's cache.
 
     Args:
         depth: (H, W) m.
         seed: uint64.
-        window: (2 r + 1,) over which noise is smoothed in either direction; its squares add up to 1.
-        terms: uniform numbers in one of the noise.
+        window: (2 r + 1,) weights for smoothing the noise in either direction; their squares sum to 1.
+        terms: uniform numbers summed in each noise value.
         parameters: (7,) lateral jitter (pixels), axial floor (m), axial growth (1/m), quantum (m), shares
-            missing beside a jump and elsewhere, what counts as a jump (m).
+            missing beside a jump and elsewhere, size of a jump (m).
         result: (H, W) m.
     """
     height, width = depth.shape
@@ -134,7 +134,7 @@ def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no
                     noise[k, column] += window[i] * smooth[(row + i) % number, k, column]
         _jumps(depth, row, beyond, high, low, jump)
         for column in range(width):
-            # The nearest pixel, not a mean: an edge moves, it does not smear.
+            # The nearest pixel, not a mean: edges move, but do not blur.
             there = column + np.int32(np.floor(jitter * noise[0, column] + half))
             where = row + np.int32(np.floor(jitter * noise[1, column] + half))
             result[row, column] = depth[min(max(where, 0), height - 1), min(max(there, 0), width - 1)]
@@ -154,17 +154,17 @@ def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no
 class DepthNoiseConfig(CheckedSettings):
     """Noise typical of an active stereo or structured-light camera; all zero is a perfect camera.
 
-    The axial term grows with the square of depth, as disparity noise does: an error of 0.05 pixels at a focal
-    length of 900 pixels and a baseline of 55 mm makes 1 mm at 1 m. The lateral term moves edges by a part of
-    a pixel. Both are correlated between neighbours, since such cameras match windows, not single pixels. The
-    defaults are a choice, not the measurement of a camera; docs/station.md says what larger ones do.
+    The axial term grows with the square of depth, like disparity noise: an error of 0.05 pixels at a focal
+    length of 900 pixels and a baseline of 55 mm gives 1 mm at 1 m. The lateral term moves edges by a fraction
+    of a pixel. Both are correlated between neighbours, because such cameras match windows, not single pixels.
+    The defaults were chosen, not measured on a camera; docs/station.md describes the effect of larger ones.
     """
 
     _section = "depth_noise."
 
     axial_floor: float = within(0.4e-3, 0, np.inf)  # standard deviation of depth close to the camera, m
     axial_growth: float = within(1.0e-3, 0, np.inf)  # its growth with the square of depth, 1/m
-    # standard deviation of the place in the scene that a pixel shows, pixels
+    # standard deviation of the position in the scene that a pixel shows, pixels
     lateral_jitter: float = within(0.4, 0, np.inf)
     # standard deviation of the window over which both are correlated, pixels
     correlation: float = within(1.0, 0, np.inf)
@@ -182,7 +182,7 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
     """
     depth = np.ascontiguousarray(depth, dtype=np.float32)
     seed = generator.integers(0, 2**64, dtype=np.uint64)
-    # A mean over a window of uniform numbers is close to normal; where the window is small, each is a sum.
+    # A mean over a window of uniform numbers is nearly normal; for a small window, each number is a sum.
     terms = 1 if config.correlation >= 1 else 12
     parameters = np.array(
         [
@@ -197,14 +197,14 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
 
 
 class DepthNoise(PythonSystem):
-    """Puts a depth camera's noise on rendered pictures, which come and go at ports named `depth_image`.
+    """Adds a depth camera's noise to rendered pictures; input and output are named `depth_image`.
 
-    A frame's noise depends on the seed and the frame's number alone, which is the time in units of the
-    camera's period; it does not matter who looks when, or how often.
+    A frame's noise depends only on the seed and the frame's number, which is the time in units of the
+    camera's period, not on when or how often the output is evaluated.
     """
 
     def __init__(self, config: DepthNoiseConfig | None = None, rate: float = 15.0) -> None:
-        """Noise for pictures taken `rate` times a second (Hz).
+        """Noise for pictures taken `rate` times per second (Hz).
 
         Raises:
             ValueError: the rate is not positive.
@@ -214,7 +214,7 @@ class DepthNoise(PythonSystem):
             raise ValueError(f"depth noise: the rate must be positive, got {rate} Hz")
         self._config = config or DepthNoiseConfig()
         self._rate = rate
-        # What has to be compiled is so now, and no picture of a twin comes late.
+        # Compile now, so that no picture of a twin is late.
         noisy_depth(np.ones((32, 32), dtype=np.float32), self._config, np.random.default_rng(0))
         image = AbstractValue.Make(ImageDepth32F())
         self._input = self.DeclareAbstractInputPort("depth_image", image)
@@ -236,7 +236,7 @@ class DepthNoise(PythonSystem):
 
 
 def _window(correlation: float) -> NDArray[np.float32]:
-    """(2 r + 1,) weights of a mean that keeps the variance."""
+    """(2 r + 1,) weights of a sum that keeps the variance."""
     size = 2 * int(np.ceil(3 * correlation)) + 1
     place = np.arange(size) - size // 2
     weights = np.exp(-0.5 * (place / correlation) ** 2) if correlation > 0 else np.ones(1)

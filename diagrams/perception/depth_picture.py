@@ -1,10 +1,10 @@
-"""Depth pictures without a renderer: rays of the pixels are cut with the shapes of the world.
+"""Depth pictures without a renderer, by intersecting pixel rays with the shapes of the world.
 
-The arm, the table and what stands around are boxes, balls, cylinders and capsules, whose depth along a ray is
-a formula; objects are meshes. That takes a tenth of the time in which a renderer in software draws them as
-100 000 triangles. What does not move is drawn once.
+The arm, the table and their surroundings are boxes, balls, cylinders and capsules, whose depth along a ray
+has a closed form; objects are meshes. This takes a tenth of the time that a software renderer needs for them
+as 100 000 triangles. Fixed shapes are drawn only once.
 
-All of it stands in one file, so that numba compiles it anew whenever something in it changes.
+Everything is in one file, so that numba recompiles it whenever any of it changes.
 """
 
 import io
@@ -42,7 +42,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
 BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)
-"""Kinds of shapes; see `draw_solids` for their measures."""
+"""Kinds of shapes; see `draw_solids` for their dimensions."""
 
 _NEAR = 0.01  # m; nothing is drawn closer than this to the camera's plane
 
@@ -51,7 +51,7 @@ _compiled = compiled(LONE_FOLDER)
 
 @_compiled
 def _through_slab(origin, ray, half):  # type: ignore[no-untyped-def]
-    """Where a ray enters and leaves |x| < half; enters later than it leaves where it passes by."""
+    """Where a ray enters and leaves |x| < half; if it misses, the first exceeds the second."""
     if ray == 0.0:
         if abs(origin) < half:
             return -np.inf, np.inf
@@ -62,7 +62,7 @@ def _through_slab(origin, ray, half):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _through_quadric(a, b, c):  # type: ignore[no-untyped-def]
-    """Between which t a t² + 2 b t + c is negative, for a ≥ 0."""
+    """The interval of t in which a t² + 2 b t + c is negative, for a ≥ 0."""
     if a == 0.0:
         if c < 0.0:
             return -np.inf, np.inf
@@ -76,7 +76,7 @@ def _through_quadric(a, b, c):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _seen(first, last):  # type: ignore[no-untyped-def]
-    """Depth at which a shape is seen along a ray within it from `first` to `last`; inf where it is not."""
+    """Depth at which a shape is seen along a ray inside it from `first` to `last`; inf if it is not."""
     if first > last:
         return np.inf
     if first > _NEAR:
@@ -94,12 +94,12 @@ def _depth_of_shape(kind, s0, s1, s2, ox, oy, oz, x, y, z):  # type: ignore[no-u
         one, other = _through_slab(oz, z, s2)
         return _seen(max(first, one), min(last, other))
     a, b, c = x * x + y * y, ox * x + oy * y, ox * ox + oy * oy
-    if kind == ELLIPSOID:  # in units of its half axes
+    if kind == ELLIPSOID:  # in units of its semi-axes
         first, last = _through_quadric(a + z * z, b + oz * z, c + oz * oz - 1.0)
         return _seen(first, last)
     first, last = _through_quadric(a, b, c - s0 * s0)
     if first > last:
-        return np.inf  # beside the cylinder is beside a capsule's caps, too
+        return np.inf  # a ray that misses the cylinder misses a capsule's caps, too
     one, other = _through_slab(oz, z, s2)
     first, last = max(first, one), min(last, other)
     if kind == CYLINDER:
@@ -116,8 +116,8 @@ def _depth_of_shape(kind, s0, s1, s2, ox, oy, oz, x, y, z):  # type: ignore[no-u
 
 @_compiled
 def _window(image, camera, half, X):  # type: ignore[no-untyped-def]
-    """First and last row and column within which a box with pose X is seen, and its least depth; rows are
-    empty where it is not."""
+    """First and last row and column of a box with pose X in the picture, and its smallest depth; the range of
+    rows is empty if it is not visible."""
     height, width = image.shape
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
@@ -149,7 +149,7 @@ def _window(image, camera, half, X):  # type: ignore[no-untyped-def]
 @_compiled
 def _draw_solid(image, camera, kind, size, X, window, nearest):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    # The camera, where all rays begin, and its axes in the shape's frame.
+    # The camera, where all rays start, and its axes in the shape's frame.
     origin = np.empty(3)
     axes = np.empty((3, 3))
     for k in range(3):
@@ -181,15 +181,15 @@ def _draw_solid(image, camera, kind, size, X, window, nearest):  # type: ignore[
 
 @_compiled
 def draw_solids(image, camera, kinds, sizes, halves, X_BG, bodies, X_CB):  # type: ignore[no-untyped-def]
-    """Draw solids into a picture, each where it is nearer than what is there.
+    """Draw solids into a picture wherever they are nearer than its present content.
 
     Args:
         image: (H, W) depth, m.
         camera: (4,) focal lengths and centre, pixels.
-        kinds: (n,) see below.
-        sizes: (n, 3) half the sides of a BOX, half the axes of an ELLIPSOID; of a CYLINDER or a CAPSULE its
-            radius twice and half its length along z, which for a capsule is that between its caps' centres.
-        halves: (n, 3) half the sides of a box about each.
+        kinds: (n,) such as BOX.
+        sizes: (n, 3) half the sides of a BOX; semi-axes of an ELLIPSOID; radius, radius and half the length
+            along z of a CYLINDER or a CAPSULE, whose length is between the centres of its caps.
+        halves: (n, 3) half the sides of a bounding box of each.
         X_BG: (n, 3, 4) their poses in the frames of their bodies.
         bodies: (n,) rows of X_CB.
         X_CB: (b, 3, 4) poses of the bodies in the camera's frame.
@@ -207,20 +207,20 @@ def draw_solids(image, camera, kinds, sizes, halves, X_BG, bodies, X_CB):  # typ
         windows[k, 0], windows[k, 1], windows[k, 2], windows[k, 3], nearest[k] = _window(
             image, camera, halves[k], X_CG[k]
         )
-    # What is in front hides most of what is behind before its depth need be known.
+    # Shapes in front hide most of those behind, whose depth then need not be computed.
     for k in np.argsort(nearest):
         _draw_solid(image, camera, kinds[k], sizes[k], X_CG[k], windows[k], nearest[k])
 
 
 @_compiled
 def draw_triangles(image, camera, corners, triangles, X_CG):  # type: ignore[no-untyped-def]
-    """Draw triangles, seen from either side, where they are nearer than what is there.
+    """Draw triangles, visible from either side, wherever they are nearer than the present content.
 
     Args:
-        image, camera: as of `draw_solids`.
+        image, camera: as for `draw_solids`.
         X_CG: (3, 4) pose of the corners' frame in the camera's.
         corners: (n, 3) m.
-        triangles: (m, 3) numbers of corners. One that reaches behind the camera is left out.
+        triangles: (m, 3) indices of corners. Triangles that reach behind the camera are skipped.
     """
     height, width = image.shape
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -245,7 +245,7 @@ def draw_triangles(image, camera, corners, triangles, X_CG):  # type: ignore[no-
         last_row = int(np.floor(min(max(v[i], v[j], v[k]), height - 1.0)))
         for row in range(first_row, last_row + 1):
             for column in range(first_column, last_column + 1):
-                # Shares of the corners; 1 / depth is linear in the picture.
+                # Barycentric coordinates; 1 / depth is linear in the picture.
                 one = ((u[j] - column) * (v[k] - row) - (v[j] - row) * (u[k] - column)) / area
                 two = ((u[k] - column) * (v[i] - row) - (v[k] - row) * (u[i] - column)) / area
                 three = 1.0 - one - two
@@ -257,7 +257,7 @@ def draw_triangles(image, camera, corners, triangles, X_CG):  # type: ignore[no-
 
 @_compiled
 def keep_range(image, nearest, farthest):  # type: ignore[no-untyped-def]
-    """Depth (H, W) as a camera gives it: 0 for what is nearer than its range, inf for what is farther."""
+    """Limit depth (H, W) to a camera's range: 0 for anything nearer, inf for anything farther."""
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             depth = image[row, column]
@@ -272,7 +272,7 @@ class NotDrawable(ValueError):
 
 
 class _Solid(NamedTuple):
-    """A shape with a formula; see `draw_solids`."""
+    """A shape with a closed form; see `draw_solids`."""
 
     kind: int
     size: FloatArray
@@ -293,7 +293,7 @@ class _Scene:
     """Shapes on some bodies, ready to be drawn."""
 
     def __init__(self, shapes: Sequence[_Placed]) -> None:
-        """Shapes with their bodies and their poses (3, 4) on these."""
+        """Shapes with their bodies and their poses (3, 4) in the bodies' frames."""
         self.bodies = list(dict.fromkeys(body for body, _, _ in shapes))
         rows = [self.bodies.index(body) for body, _, _ in shapes]
         solids = [k for k, (_, _, shape) in enumerate(shapes) if isinstance(shape, _Solid)]
@@ -320,9 +320,9 @@ class _Scene:
 class DepthPicture(PythonSystem):
     """Depth pictures of a plant, without noise.
 
-    The input `body_poses` has those of the plant. The output `depth_image`, an ImageDepth32F, is as Drake's
-    `RgbdSensor` renders it: 0 for what is too near, inf for what is too far; edges may lie in the
-    pixel beside. It shows all shapes with a perception role.
+    The input `body_poses` is that of the plant. The output `depth_image`, an ImageDepth32F, matches the
+    rendering of Drake's `RgbdSensor`, except that edges may be off by a pixel: 0 for anything too near, inf
+    for anything too far. It shows all shapes with a perception role.
 
     Args:
         plant, scene_graph: finalized.
@@ -335,7 +335,7 @@ class DepthPicture(PythonSystem):
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig) -> None:
         super().__init__()
         if not plant.is_finalized():
-            raise ValueError("depth picture: finalize the plant first, so that all that can be seen is there")
+            raise ValueError("depth picture: finalize the plant first, so that all visible shapes are there")
         camera = config.intrinsics
         self._camera = np.array([camera.focal_x, camera.focal_y, camera.center_x, camera.center_y])
         self._X_CW = config.X_WC.inverse()
@@ -355,7 +355,7 @@ class DepthPicture(PythonSystem):
         for scene, image in ((background, self._background), (self._moving, everything)):
             X_WB = [plant.EvalBodyPoseInWorld(rest, plant.get_body(body)) for body in scene.bodies]
             scene.draw(image, self._camera, [self._X_CW @ X for X in X_WB])
-        # Nobody sees this one; but what has to be compiled is so now, and no picture of a twin comes late.
+        # This picture is unused, but compiles the code now, so that no picture of a twin is late.
         keep_range(everything, NEAREST, FARTHEST)
         poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractOutputPort(
@@ -380,9 +380,9 @@ def add_depth_picture(
     config: CameraConfig,
     camera: RgbdSensor,
 ) -> OutputPort:
-    """Depth pictures of a camera, from a `DepthPicture` if that can draw all that there is to see.
+    """Add depth pictures of a camera, by a `DepthPicture` if that can draw all visible shapes.
 
-    Otherwise `camera`, which is the same one from `add_camera`, renders the pictures.
+    Otherwise `camera`, the same one from `add_camera`, renders them.
     """
     try:
         picture = builder.AddNamedSystem("depth_picture", DepthPicture(plant, scene_graph, config))

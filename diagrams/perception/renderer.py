@@ -1,4 +1,4 @@
-"""Whether this machine can render depth pictures, found out before Drake takes the process down with it."""
+"""Checks whether this machine can render depth pictures, before Drake would crash the process."""
 
 import functools
 import subprocess
@@ -18,15 +18,15 @@ _NEAR = 1e-3  # m
 
 
 class RendererUnavailable(BadInput, RuntimeError):
-    """Depth pictures cannot be rendered here. The text is one paragraph that says what to install."""
+    """Depth pictures cannot be rendered on this machine. The text, one paragraph, says what to install."""
 
 
 @functools.cache
 def require_renderer() -> None:
-    """Render one small picture in a process of its own; the answer is kept.
+    """Render one small picture in a separate process; the result is cached.
 
-    A missing or broken OpenGL library does not raise an error in Drake: the process dies. A trial in another
-    process turns that into an exception.
+    With a missing or broken OpenGL library, Drake does not raise an error: the process dies. A trial in
+    another process turns that into an exception.
 
     Raises:
         RendererUnavailable: the trial failed.
@@ -44,8 +44,7 @@ def require_renderer() -> None:
 
 
 def render_one_picture() -> None:
-    """Render a wall and look whether it is where it should be; where libraries are missing, this may end the
-    process.
+    """Render a wall and check its depth; if libraries are missing, this may end the process.
 
     Raises:
         RuntimeError: the picture shows something else.
@@ -84,6 +83,6 @@ def _advice(reason: str) -> str:
     return (
         f"the camera cannot render pictures on this machine ({reason}). Rendering without a display needs "
         f"EGL and a software or hardware OpenGL driver; on Debian and Ubuntu install them with `sudo apt-get "
-        f"install {' '.join(RENDERING_PACKAGES)}`, elsewhere with the packages that hold libEGL, Mesa's"
+        f"install {' '.join(RENDERING_PACKAGES)}`, elsewhere with the packages that contain libEGL, Mesa's"
         " drivers and GLib"
     )

@@ -1,4 +1,4 @@
-"""What the camera sees of an object past the arm: a view, hulls around the arm, and what they hide."""
+"""Visibility of an object past the arm: the camera's view, hulls around the arm, and what they hide."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -21,13 +21,13 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 
 def moved(X: RigidTransform, points: FloatArray) -> FloatArray:
-    """Points (k, 3) of a frame with pose X in the frame that X is given in."""
+    """Transform points (k, 3) of a frame with pose X into the frame in which X is given."""
     return points @ X.rotation().matrix().T + X.translation()
 
 
 @lru_cache(maxsize=4)
 def view_from(camera: PinholeCamera, X_WC: bytes) -> View:
-    """The view, whose rays take a while to compute, kept for a camera that does not move.
+    """The view of a camera, cached because its rays take a while to compute.
 
     Args:
         X_WC: bytes of its (4, 4) pose.
@@ -47,7 +47,7 @@ class Sight:
         self._hidden = draw_hulls(hulls, view)
 
     def share(self, seen: SeenObject, pose: FloatArray) -> float:
-        """Share of an object's cells that are in the picture and not hidden, at a pose (3,), m and rad."""
+        """Share of an object's cells that are in the picture and not hidden by the arm, at a pose (3,)."""
         places = placed(seen.grid.centers, pose)
         pixels, _ = self._view.project(np.column_stack([places, seen.cell_heights]))
         column, row = np.round(pixels).astype(int).T
@@ -61,8 +61,8 @@ class ArmAside(PythonSystem):
     """Whether the whole object can be seen past the arm.
 
     Inputs: `arm_position` (7,) rad; `X_WC`, of the camera; `object_pose`, an `ObservedPose`; `seen_object`, a
-    `SeenObject` or None. The output `aside` is a bool: whether the arm hides no cell of the object where it
-    was just seen; False while it is not seen.
+    `SeenObject` or None. The output `aside` is a bool: whether all cells of the object, at its last pose, are
+    in the picture and none is hidden by the arm; False while it is not seen.
 
     Args:
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`.
@@ -99,14 +99,14 @@ _SPHERE = np.column_stack(
 
 
 class ArmHulls:
-    """Hulls around everything of some model instances that a camera sees, at given joint angles.
+    """Hulls around all visible shapes of some model instances, at given joint angles.
 
     Called with the positions (7,) of the first instance, rad, it returns a list of `Hull`. The other
     instances, such as a gripper, keep their default positions.
 
     Args:
         plant, scene_graph: finalized.
-        instances: the arm, then what it carries.
+        instances: the arm, followed by whatever it carries.
 
     Raises:
         ValueError: the plant is not finalized, or there are no instances.

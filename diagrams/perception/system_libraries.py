@@ -1,7 +1,7 @@
-"""Libraries of the operating system that Drake and OpenCV load, and Debian's packages of them.
+"""System libraries that Drake and OpenCV load, and the Debian packages that provide them.
 
-Wheels bring nearly everything along; what they leave to the system is known only when an import fails, one
-library at a time.
+Wheels contain nearly everything; what they leave to the system shows only when an import fails, one library
+at a time.
 """
 
 import re
@@ -23,20 +23,20 @@ DEBIAN_PACKAGES = {
     "libEGL.so.1": "libegl1",
     "libOpenGL.so.0": "libopengl0",
 }
-"""Package, in Debian and Ubuntu, of each shared library that versions of Drake and OpenCV ask for."""
+"""Debian and Ubuntu package of each shared library that versions of Drake and OpenCV require."""
 
 RENDER = "from slipmap.diagrams.perception.renderer import render_one_picture; render_one_picture()"
 
 RENDERING_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libglib2.0-0")
-"""What Drake's camera needs beyond the imports, to render without a display."""
+"""Packages that Drake's camera needs, beyond those of the imports, to render without a display."""
 
 
 def package_for(failure: str) -> str | None:
-    """Debian's package of the shared library that the loader's error says is missing, if both are known."""
+    """Debian package of the shared library that a loader error reports as missing, if both are known."""
     return DEBIAN_PACKAGES.get(missing_library(failure) or "")
 
 
 def missing_library(failure: str) -> str | None:
-    """The shared library that the loader's error says is missing, if that is what it says."""
+    """The shared library that a loader error reports as missing, if it is such an error."""
     match = re.search(r"(lib[\w.+-]+\.so[\d.]*): cannot open shared object file", failure)
     return match.group(1) if match else None

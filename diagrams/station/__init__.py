@@ -1,1 +1,1 @@
-"""The robot's cell as one Drake diagram: arm, gripper, table, object, camera."""
+"""The robot cell as one Drake diagram: arm, gripper, table, object, camera."""

@@ -23,24 +23,25 @@ ARM_MODELS = {
     "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",
     "drake_models": "package://drake_models/iiwa_description/urdf/iiwa14_primitive_collision.urdf",
 }
-"""Where each set of models has its arm. The gripper is our own in all of them, because its finger pushes."""
+"""The arm model of each set. The gripper is slipmap's own in all of them, because its finger pushes."""
 
 HOME = np.array([0.69, -1.06, -1.07, -1.38, 0.0, 1.41, -0.93])
-"""(7,) joint angles at which the arm is raised beside its stand, rad. On `default_arm_base` a camera 1.1 m
-above the table's middle sees past it all of the table within 0.49 m, and nothing of it is as high as that."""
+"""(7,) joint angles at which the arm is raised beside its stand, rad. With `default_arm_base`, a camera 1.1 m
+above the table's centre sees the whole table within 0.49 m past the arm, and no part of the arm is that
+high."""
 
 STIFFNESS = np.full(7, 8000.0)
 """(7,) gains of the simulated joint control, 1/s²."""
 
 STAND_RADIUS = 0.07
-"""Of the column that carries the arm, m."""
+"""Radius of the column that carries the arm, m."""
 
 IIWA_OUTPUTS = ("position_commanded", "position_measured", "velocity_estimated", "torque_external")
-"""What the arm says of its joints; the ports of a cell are named `iiwa.` and one of these."""
+"""Outputs of the arm's joints; the ports of a cell are named `iiwa.` plus one of these."""
 
-_FLOOR = -0.75  # m, where the stand ends
-_PIN_RADIUS = 0.0075  # m; of the finger but for its last 12 mm
-_SQUEEZE = 0.01  # m beyond closed that is asked for, so that it closes with all its force
+_FLOOR = -0.75  # m, lower end of the stand
+_PIN_RADIUS = 0.0075  # m; of the finger except for its last 12 mm
+_SQUEEZE = 0.01  # m beyond closed in the command, so that the gripper closes with its full force
 
 _DIRECTIVES = """
 directives:
@@ -61,19 +62,19 @@ directives:
 class Arm:
     """The arm in a plant."""
 
-    iiwa: ModelInstanceIndex  # model instance of the arm proper, 7 positions
+    iiwa: ModelInstanceIndex  # model instance of the arm itself, 7 positions
     gripper: ModelInstanceIndex  # model instance of its hand, 2 positions
-    # of frame T at the centre of the finger's end, its z along the finger and out of the hand
+    # frame T at the centre of the finger's end, z along the finger and out of the hand
     tip: FrameIndex
-    finger_radius: float  # of the round finger that the closed gripper is, m
+    finger_radius: float  # of the round finger formed by the closed gripper, m
     X_WB: RigidTransform  # pose of the arm's base in the world
-    models: str  # the set of models it came from
+    models: str  # its set of models
 
 
 def default_arm_base() -> RigidTransform:
-    """Pose X_WB of the base: lying level on a stand beyond the table's edge at x = -0.5 m, 0.6 m over it.
+    """Pose X_WB of the base: horizontal, on a stand beyond the table's edge at x = -0.5 m, 0.6 m above it.
 
-    The shoulder is then over the table, at x = -0.34 m.
+    The shoulder is then above the table, at x = -0.34 m.
     """
     return RigidTransform(RollPitchYaw(0.0, np.deg2rad(90.0), 0.0), np.array([-0.70, 0.0, 0.6]))
 
@@ -84,23 +85,23 @@ def add_arm(
     models: str = "primitives",
     finger_radius: float = FINGER_RADIUS,
 ) -> Arm:
-    """Put the arm into a plant that is not finalized yet, at its home posture by default.
+    """Add the arm to a plant that is not yet finalized, with its home posture as default.
 
-    No part of the arm or gripper collides with another one; all of them collide with everything else.
+    Parts of arm and gripper do not collide with each other, but with everything else.
 
     Args:
-        plant: discrete, with a contact approximation other than `tamsi`, which could not couple the fingers.
+        plant: discrete, with a contact approximation other than `tamsi`, which cannot couple the fingers.
         X_WB: pose of the base in the world; `default_arm_base` if None.
-        models: a key of `ARM_MODELS`. Drake downloads its meshes at first use.
+        models: a key of `ARM_MODELS`. Drake downloads the meshes of `drake_models` on first use.
         finger_radius: of the closed gripper's finger, m.
 
     Raises:
         ValueError: an unknown set of models.
-        RuntimeError: the models cannot be had, or the plant cannot couple the fingers.
+        RuntimeError: the models are not available, or the plant cannot couple the fingers.
     """
     X_WB = default_arm_base() if X_WB is None else X_WB
     iiwa, gripper = _parse(plant, X_WB, models, finger_radius)
-    # One drive moves both fingers; uncoupled, a sideways push would shift them together.
+    # A single drive moves both fingers; uncoupled, a sideways push would shift both.
     plant.AddCouplerConstraint(
         plant.GetJointByName("left_finger_joint", gripper),
         plant.GetJointByName("right_finger_joint", gripper),
@@ -116,7 +117,7 @@ def add_arm(
 def lone_arm(
     models: str = "primitives", finger_radius: float = FINGER_RADIUS
 ) -> tuple[MultibodyPlant, SceneGraph, Arm]:
-    """The arm alone in a finalized plant with a scene graph, for looking at its shapes; see `add_arm`."""
+    """The arm alone in a finalized plant with a scene graph, to inspect its shapes; see `add_arm`."""
     plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     arm = add_arm(plant, models=models, finger_radius=finger_radius)
@@ -127,13 +128,13 @@ def lone_arm(
 def arm_model(
     X_WB: RigidTransform | None = None, models: str = "primitives", gravity: FloatArray | None = None
 ) -> MultibodyPlant:
-    """The arm as its controller knows it: a finalized plant of 7 positions, the closed gripper its load.
+    """The arm as its controller models it: a finalized plant with 7 positions and the closed gripper as load.
 
-    Like the plant of `add_arm` it has a frame `tip`. Its discrete time step has no meaning. Gravity (3,) is
-    that of the world, m/s²; Drake's own if None.
+    Like the plant of `add_arm`, it has a frame `tip`. Its discrete time step has no meaning. Gravity (3,) is
+    that of the world, m/s²; Drake's default if None.
 
     Raises:
-        ValueError, RuntimeError: as `add_arm`.
+        ValueError, RuntimeError: as for `add_arm`.
     """
     complete = MultibodyPlant(1e-3)
     _, gripper = _parse(complete, RigidTransform(), models)
@@ -162,15 +163,16 @@ def arm_model(
 
 
 def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) -> None:
-    """Control the arm's joints and the gripper's opening in a finalized plant, and export their ports.
+    """Add drivers of the arm's joints and the gripper's opening to a finalized plant, and export their ports.
 
-    The arm's driver is Drake's `SimIiwaDriver` with stiffer joints than its default, at which 15 N bend the
-    finger away by more than a millimetre; the real controller integrates such an error to nothing.
+    The arm's driver is Drake's `SimIiwaDriver` with stiffer joints than the default, at which 15 N deflect
+    the finger by more than a millimetre; the real controller removes such an error by integral action.
 
     `iiwa.*` are (7,) in rad, rad/s, N m; torque_external is that of the contact forces on arm and gripper,
     smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m; at 0 the
-    gripper closes with all the force that `gripper.force_limit` allows. That is (1,) the largest force of a
-    finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
+    gripper closes with the full force that `gripper.force_limit` allows. `gripper.force_limit` (1,) is the
+    largest force of a finger, N, 40 if not connected; `gripper.state_measured` (2,) is the opening and its
+    rate, m and m/s.
     """
     gravity = plant.gravity_field().gravity_vector()
     model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models, gravity))
@@ -180,7 +182,7 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     for name in IIWA_OUTPUTS:
         builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
 
-    # It takes commands every 0.05 s; gains are in N/m and N s/m.
+    # Commands every 0.05 s; gains in N/m and N s/m.
     controller = manipulation.SchunkWsgPositionController(0.05, 8000.0, 100.0)
     hand = builder.AddNamedSystem("gripper_control", controller)
     squeeze = builder.AddNamedSystem("gripper_squeeze", _Squeeze())
@@ -196,9 +198,9 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
 
 
 class _Squeeze(PythonSystem):
-    """Makes a gripper close with all its force.
+    """Makes a gripper close with its full force.
 
-    If only an opening of 0 were asked for, its control would give way by 3.5 mm when a push strikes a pin.
+    With a command of exactly 0, its control would yield by 3.5 mm when a push loads a pin.
     """
 
     def __init__(self) -> None:
@@ -213,7 +215,7 @@ class _Squeeze(PythonSystem):
 
 def _arm_url(models: str) -> str:
     if models not in ARM_MODELS:
-        raise ValueError(f"arm: no set of models is called {models!r}; there are {', '.join(ARM_MODELS)}")
+        raise ValueError(f"arm: unknown set of models {models!r}; choose one of {', '.join(ARM_MODELS)}")
     return ARM_MODELS[models]
 
 
@@ -224,8 +226,8 @@ def _parser(plant: MultibodyPlant) -> Parser:
 
 
 def _gripper_text(finger_radius: float) -> str:
-    """The gripper's model file, with another radius of the finger's last 12 mm and of the rest, which is a
-    little thinner."""
+    """The gripper's model file with another radius of the finger's last 12 mm and of the slightly thinner
+    rest."""
     text = GRIPPER_MODEL.read_text(encoding="utf-8")
     radii = {FINGER_RADIUS: finger_radius, _PIN_RADIUS: finger_radius - (FINGER_RADIUS - _PIN_RADIUS)}
     given = "|".join(f"{radius:g}" for radius in radii)
@@ -250,7 +252,7 @@ def _parse(
         if models == "primitives":
             raise
         raise RuntimeError(
-            f"arm: Drake could not get its models; take `primitives`, or go online: {error}"
+            f"arm: Drake could not load its models; use `primitives`, or connect to the internet: {error}"
         ) from error
     iiwa, gripper = (plant.GetModelInstanceByName(name) for name in ("iiwa", "gripper"))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("iiwa_link_0", iiwa), X_WB)
@@ -263,7 +265,7 @@ def stand_head(X_WB: RigidTransform) -> FloatArray:
 
 
 def _add_stand(plant: MultibodyPlant, X_WB: RigidTransform) -> None:
-    """A column from the floor to the back of the base; nothing collides with it."""
+    """Add a column from the floor to the back of the base, without collision geometry."""
     back = X_WB @ np.array([0.0, 0.0, -0.02])
     head = stand_head(X_WB)
     foot = np.array([head[0], head[1], _FLOOR])

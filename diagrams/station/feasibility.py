@@ -1,4 +1,4 @@
-"""Whether a simulated camera makes the object out, and the arm can move it: told before anything moves."""
+"""Checks, before anything moves, that a simulated camera can detect the object and the arm can move it."""
 
 from typing import TYPE_CHECKING
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
 
 LONGEST_LOOK = 60.0
-"""s that the pictures of the first look may take."""
+"""Longest time that the pictures of the first look may take, s."""
 
-_STRONGEST = 137.0  # N; what the arm carries, 14 kg
-# Blocks, sheets and cans are found in all pictures with 1.6 mm and 0.4 pixels, in two of three with 2.2 mm or
-# 1 pixel, in none with 3.2 mm or 2 pixels; with 67 pixels in one of ten, with 30 in none.
+_STRONGEST = 137.0  # N; the arm's payload, 14 kg
+# Blocks, sheets and cans are found in all pictures with noise of 1.6 mm and 0.4 pixels, in two of three with
+# 2.2 mm or 1 pixel, in none with 3.2 mm or 2 pixels; at a size of 67 pixels in one of ten, of 30 in none.
 _MOST_NOISE = 2.8e-3  # m, standard deviation of depth at the table
 _MOST_JITTER = 1.8  # pixels
 _FEWEST_PIXELS = 50
 
 
 def check_feasible(scenario: "Scenario", thing: TrueObject) -> None:
-    """Refuse an object that cannot be made out or moved in a simulated cell.
+    """Refuse an object that cannot be detected or moved in a simulated cell.
 
     Raises:
-        ValueError: its friction cannot be simulated, it takes more force than the arm has, pictures come too
-            seldom, have too much noise or too few pixels, show too little of the table, or the arm stands
-            before the object. The text has the numbers.
+        ValueError: its friction cannot be simulated, sliding it takes more force than the arm has, pictures
+            are too infrequent, too noisy or too coarse or show too little of the table, or the arm hides the
+            object. The text has the numbers.
     """
     own_frictions(thing, scenario.table.friction)
     force = float(thing.mass @ thing.mu) * scenario.gravity
@@ -46,7 +46,7 @@ def check_feasible(scenario: "Scenario", thing: TrueObject) -> None:
         raise ValueError(
             f"object {thing.name} takes {force:.0f} N to slide ({thing.total_mass:.3g} kg at"
             f" {scenario.gravity:g} m/s²);"
-            f" the arm pushes with {_STRONGEST:.0f} N at most"
+            f" the arm can push with at most {_STRONGEST:.0f} N"
         )
     x, y, degrees = scenario.object.pose
     lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
@@ -61,33 +61,34 @@ def _check_pictures(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> N
         raise ValueError(
             f"camera.rate: at {camera.rate:g} Hz the {FRAMES} pictures of the first look take"
             f" {FRAMES / camera.rate:.0f} s;"
-            f" {LONGEST_LOOK:.0f} s are allowed, so {FRAMES / LONGEST_LOOK:g} Hz at least"
+            f" at most {LONGEST_LOOK:.0f} s are allowed, so the rate must be at least"
+            f" {FRAMES / LONGEST_LOOK:g} Hz"
         )
     depth = _noise_of_depth(scenario)
     if depth > _MOST_NOISE:
         raise ValueError(
             f"depth_noise: at the table, {camera.height:g} m below the camera, depth scatters by"
             f" {1e3 * depth:.1f} mm;"
-            f" objects are told from a table up to {1e3 * _MOST_NOISE:g} mm: lower axial_floor, axial_growth"
+            f" objects can be detected up to {1e3 * _MOST_NOISE:g} mm: lower axial_floor, axial_growth"
             " or camera.height"
         )
     if noise.lateral_jitter > _MOST_JITTER:
         raise ValueError(
-            f"depth_noise.lateral_jitter: edges scatter by {noise.lateral_jitter:g} pixels; outlines are"
-            f" seen up to {_MOST_JITTER:g}"
+            f"depth_noise.lateral_jitter: edges scatter by {noise.lateral_jitter:g} pixels; outlines can be"
+            f" detected up to {_MOST_JITTER:g} pixels"
         )
     pixel = pixel_size(_view(scenario))
     if lies.area < _FEWEST_PIXELS * pixel**2:
         raise ValueError(
-            f"camera: object {thing.name} covers {lies.area / pixel**2:.0f} pixels, of {1e3 * pixel:.1f} mm;"
-            " it takes"
-            f" {_FEWEST_PIXELS} at least: more pixels (camera.width, height_pixels), or a camera that is"
-            " lower or sees less"
+            f"camera: object {thing.name} covers {lies.area / pixel**2:.0f} pixels of {1e3 * pixel:.1f} mm;"
+            " at least"
+            f" {_FEWEST_PIXELS} are needed: use more pixels (camera.width, height_pixels), or a camera that"
+            " is lower or has a narrower view"
         )
 
 
 def _check_table_seen(scenario: "Scenario", lies: Polygon) -> None:
-    """The table's plane is fitted to readings near it, which must be a part of the picture."""
+    """The table's plane is fitted to readings near it, which must fill enough of the picture."""
     camera, table, noise = scenario.camera, scenario.table, scenario.depth_noise
     half = np.array(table.size) / 2
     top = shapely.Point(0.0, 0.0).buffer(table.radius) if table.shape == "round" else box(*-half, *half)
@@ -103,13 +104,13 @@ def _check_table_seen(scenario: "Scenario", lies: Polygon) -> None:
         raise ValueError(
             f"camera: readings of the table beside the object, within {1e3 * NARROWEST:.0f} mm of its plane,"
             f" fill {100 * share:.1f} %"
-            f" of the picture; it takes {100 * LEAST_SHARE:.0f} %: lower the camera, or see to its noise and"
-            " missing pixels"
+            f" of the picture; {100 * LEAST_SHARE:.0f} % are needed: lower the camera, or reduce its noise"
+            " and missing pixels"
         )
 
 
 def _check_arm_aside(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:
-    """At home the arm must not stand before the object, or the first look waits for it for ever."""
+    """At home the arm must not hide the object, or the first look waits for it for ever."""
     plant, scene_graph, arm = lone_arm(scenario.arm.models, scenario.execution.finger_radius)
     view = _view(scenario)
     blocked = draw_hulls(ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])(HOME), view)
@@ -124,9 +125,9 @@ def _check_arm_aside(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> 
     if hidden.any():
         x, y, _ = scenario.object.pose
         raise ValueError(
-            f"object.pose: at x = {x:g} m, y = {y:g} m object {thing.name} lies under or beside the arm at"
-            " home, as the camera"
-            " sees it; move it away from the arm's stand"
+            f"object.pose: as the camera sees it, object {thing.name} at x = {x:g} m, y = {y:g} m lies under"
+            " or beside the arm"
+            " at home; move it away from the arm's stand"
         )
 
 

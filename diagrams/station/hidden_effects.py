@@ -1,9 +1,10 @@
-"""Effects in the true world that the object's model does not know of, and that pushes are to reveal.
+"""Effects in the true world that the object's model lacks and that pushes should reveal.
 
-Parameters mean what those of the same name in `models/effects/library.py` mean; the defaults are no effect.
+Parameters have the same meaning as those of the same name in `models/effects/library.py`; the defaults mean
+no effect.
 """
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+# Annotations stay objects, because Drake's YAML reader inspects them.
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -20,16 +21,16 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held, read, rep
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
-_TOUCH = 2e-3  # m; cells that are farther from the table's height do not slide on it
+_TOUCH = 2e-3  # m; cells farther from the table's height do not slide on it
 _LATEST = 0.3  # s
-_SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out
+_SLOWEST = 1e-3  # m/s; the extra friction fades out below about this slip
 
 
 class _Numbers:
     _not_negative: tuple[str, ...] = ()
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         for item in fields(self):  # type: ignore[arg-type]
             value = getattr(self, item.name)
             if not np.isfinite(value) or (item.name in self._not_negative and value < 0):
@@ -46,7 +47,7 @@ class TableTilt(_Numbers):
     down_y: float = 0.0
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         super().check()
         if max(abs(self.down_x), abs(self.down_y)) > 0.5:
             raise ValueError(f"TableTilt: slopes are in rad, at most 0.5, got {self.down_x}, {self.down_y}")
@@ -62,7 +63,7 @@ class Tether(_Numbers):
     # anchor_x, anchor_y: where it is fixed on the table, world, m
     anchor_x: float = 0.3
     anchor_y: float = 0.0
-    slack: float = 0.0  # length at which it begins to pull, m
+    slack: float = 0.0  # length at which it starts to pull, m
     # point_x, point_y: where it is tied to the object's base, object frame, m
     point_x: float = 0.0
     point_y: float = 0.0
@@ -87,13 +88,13 @@ class TableFrictionField(_Numbers):
     gradient_x: float = 0.0
     gradient_y: float = 0.0
     patch: float = 0.0  # logarithm of the factor on a round patch
-    # patch_x, patch_y: its middle, world, m
+    # patch_x, patch_y: its centre, world, m
     patch_x: float = 0.0
     patch_y: float = 0.0
     patch_radius: float = 0.12  # m
 
     def factor(self, points: FloatArray) -> FloatArray:
-        """(k,) by which friction is multiplied at points (k, 2), world, m."""
+        """(k,) factor on friction at points (k, 2), world, m."""
         inside = np.hypot(points[:, 0] - self.patch_x, points[:, 1] - self.patch_y) < self.patch_radius
         slope = 1 + points @ np.array([self.gradient_x, self.gradient_y])
         return np.maximum(slope, 0.0) * np.exp(self.patch * inside)
@@ -101,25 +102,25 @@ class TableFrictionField(_Numbers):
 
 @dataclass
 class SensorLatency(_Numbers):
-    """Pictures show what was a while ago, and do not say so."""
+    """Pictures are late, but claim to be current."""
 
     _not_negative = ("latency",)
 
     latency: float = 0.0  # s
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         super().check()
         if self.latency > _LATEST:
             raise ValueError(
-                f"SensorLatency.latency must be at most {_LATEST:g} s, got {self.latency}: the arm would be"
-                " taken for aside while it is still in the picture"
+                f"SensorLatency.latency must be at most {_LATEST:g} s, got {self.latency}: otherwise the arm"
+                " counts as aside while it is still in the picture"
             )
 
 
 @dataclass
 class HiddenEffectsConfig:
-    """Everything that can be hidden in the station's table; nothing is by default."""
+    """All effects that can be hidden in the station; none by default."""
 
     table_tilt: TableTilt = field(default_factory=TableTilt)
     tether: Tether = field(default_factory=Tether)
@@ -128,7 +129,7 @@ class HiddenEffectsConfig:
     sensor_latency: SensorLatency = field(default_factory=SensorLatency)
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         for effect in fields(self):
             getattr(self, effect.name).check()
 
@@ -146,7 +147,7 @@ class HiddenEffectsConfig:
 
 
 def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
-    """(3,) gravity in the frame of a table whose top falls by these slopes along x and y, m/s²."""
+    """(3,) gravity in the frame of a table that slopes down by `tilt` along x and y, m/s²."""
     down = np.array([np.tan(tilt.down_x), np.tan(tilt.down_y), -1.0])
     return gravity * down / np.linalg.norm(down)
 
@@ -156,19 +157,18 @@ class HiddenEffects(PythonSystem):
 
     Inputs are the plant's `body_poses` and `body_spatial_velocities`.
 
-    Tilt is the difference between tilted and level gravity, at the centre of mass. The plant's own gravity
-    stays level, so that an arm whose controller knows how it is mounted does not feel it. The tether pulls at
-    the base, so that it does not tip the object. Drag is the integral over the cells' squares.
+    Tilt acts as the difference between tilted and level gravity at the centre of mass. The plant's own
+    gravity stays level, because an arm whose controller knows its mounting is not affected. The tether pulls
+    at the base, so that it does not tip the object. Drag is integrated over the cells' squares.
 
-    The friction field: Drake gives a cell one coefficient for all places, so the difference to the field,
-    (factor - 1) μ m g of each cell on the table, is a force against (or along) the cell's slip. A force that
-    is given for a whole time step cannot stick; it fades out below a slip of 1 mm/s, or as much as a step of
-    extra friction takes from a free cell's speed, whichever is more. In a push, only cells next to the centre
-    of rotation are that slow; but an object at rest is held by the friction that it has without the field.
+    In Drake, a cell has the same coefficient everywhere. The friction field therefore acts as the difference,
+    (factor - 1) μ m g for each cell on the table, against (or along) the cell's slip. A force that is
+    constant over a time step cannot stick, so it fades out below a slip of 1 mm/s, or below the speed that
+    one step of extra friction takes from a free cell, whichever is larger. During a push only cells next to
+    the centre of rotation are that slow; but an object at rest is held by its friction without the field.
 
     Raises:
-        ValueError: a parameter that makes no sense, or an effect so stiff that it cannot be simulated with
-            the plant's time step.
+        ValueError: an invalid parameter, or an effect too stiff to be simulated with the plant's time step.
     """
 
     def __init__(self, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig) -> None:
@@ -201,7 +201,7 @@ class HiddenEffects(PythonSystem):
         area = len(self._base) * self._width**2
         if self._config.viscous_friction.drag_per_area * area * step / self._mass > 0.5:
             raise ValueError(
-                f"ViscousFriction.drag_per_area: too much for an object of {self._mass:.3g} kg and a time "
+                f"ViscousFriction.drag_per_area: too large for an object of {self._mass:.3g} kg and a time "
                 f"step of {step:g} s; at most {0.5 * self._mass / step / area:.3g} N s/m³"
             )
         if self._config.tether.stiffness * step**2 / self._mass > 1.0:
@@ -245,7 +245,7 @@ class HiddenEffects(PythonSystem):
         return np.sum(forces, axis=0) + slowing.sum(axis=0), torque
 
     def _extra_friction(self, p_WC: FloatArray, v_WC: FloatArray, touching: FloatArray) -> FloatArray:
-        """(n, 3) what the friction field adds to the friction of each cell, world, N."""
+        """(n, 3) force that the friction field adds to the friction of each cell, world, N."""
         excess = (self._config.table_friction_field.factor(p_WC[:, :2]) - 1) * touching
         slowest = np.maximum(_SLOWEST, np.abs(excess) * self._step_of_speed)
         speed = np.sqrt((v_WC**2).sum(axis=1) + slowest**2)
@@ -262,7 +262,7 @@ def _pull(tether: Tether, p_WP: FloatArray) -> FloatArray:
 
 
 class LatePictures(PythonSystem):
-    """Hands on the depth picture of a while ago, to whoever looks at multiples of the camera's period.
+    """Delays depth pictures; its output is right at multiples of the camera's period.
 
     Args:
         latency: s.
@@ -294,7 +294,7 @@ class LatePictures(PythonSystem):
 def add_hidden_effects(
     builder: DiagramBuilder, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig
 ) -> HiddenEffects | None:
-    """Connect the effects to a finalized plant; None, and nothing done, where none acts on the object."""
+    """Connect the effects to a finalized plant; None, and no change, if none acts on the object."""
     if not config.is_forceful:
         return None
     system = builder.AddNamedSystem("hidden_effects", HiddenEffects(plant, true_object, config))

@@ -1,4 +1,4 @@
-"""Whether an object can be explored where it lies: on the table, under the finger, before the camera."""
+"""Checks that an object can be explored where it lies: on the table, in reach of the finger, in view."""
 
 from typing import TYPE_CHECKING
 
@@ -15,15 +15,15 @@ from slipmap.models.perception.pinhole_camera import View
 if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
 
-_CLEARANCE = 0.02  # m, between the finger on its way and what it passes over
+_CLEARANCE = 0.02  # m, between the moving finger and what it passes over
 
 
 def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
     """Refuse an object that cannot be pushed and seen where it lies.
 
     Raises:
-        ValueError: it does not lie on the table; the finger cannot pass over it, or would in a
-            push; the camera does not see it. The text has the numbers.
+        ValueError: it does not lie on the table; the finger cannot pass over it, or would do so in a push;
+            the camera does not see it. The text has the numbers.
     """
     x, y, degrees = scenario.object.pose
     lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
@@ -34,14 +34,14 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
 
 
 def check_rest(scenario: "Scenario", thing: TrueObject) -> None:
-    """Refuse an object that slides off a tilted table by itself. Raises ValueError with the numbers."""
+    """Refuse an object that slides off a tilted table by itself, by a ValueError with the numbers."""
     tilt = scenario.hidden.table_tilt
     slope = float(np.hypot(np.tan(tilt.down_x), np.tan(tilt.down_y)))
     friction = float(thing.mass @ thing.mu) / thing.total_mass
     if slope >= friction:
         raise ValueError(
-            f"hidden.table_tilt: object {thing.name} slides off by itself: the table falls by"
-            f" {np.degrees(np.arctan(slope)):.1f}°, and friction holds up to"
+            f"hidden.table_tilt: object {thing.name} slides off by itself: the table is tilted by"
+            f" {np.degrees(np.arctan(slope)):.1f}°, but friction only holds up to"
             f" {np.degrees(np.arctan(friction)):.1f}°"
         )
 
@@ -53,7 +53,7 @@ def _check_table(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None
         size = f"a radius of {table.radius:g} m"
     else:
         on_table = bool((np.abs(corners) < np.array(table.size) / 2).all())
-        size = f"{table.size[0]:g} m by {table.size[1]:g} m"
+        size = f"sides of {table.size[0]:g} m and {table.size[1]:g} m"
     if on_table:
         return
     extent = np.ptp(corners, axis=0)
@@ -70,13 +70,13 @@ def _check_finger(scenario: "Scenario", thing: TrueObject) -> None:
     highest = execution.safe_height - _CLEARANCE
     if thing.height.max() > highest:
         raise ValueError(
-            f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over what is at"
-            f" most {highest:.3f} m high (execution.safe_height less {_CLEARANCE} m)"
+            f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over objects of at"
+            f" most {highest:.3f} m (execution.safe_height less {_CLEARANCE} m); raise safe_height"
         )
     lowest = min(block.height for block in thing.blocks)
     if execution.tip_height >= lowest:
         raise ValueError(
-            f"execution.tip_height is {execution.tip_height:g} m, and what a finger can touch of object"
+            f"execution.tip_height is {execution.tip_height:g} m, but the lowest part of object"
             f" {thing.name} is {lowest:.3g} m high: the finger would pass over it; lower tip_height"
         )
 
@@ -85,9 +85,9 @@ def _check_size(thing: TrueObject, lies: Polygon) -> None:
     highest = float(thing.height.max())
     if highest < LEAST_HEIGHT or lies.area < LEAST_AREA:
         raise ValueError(
-            f"object {thing.name} is {1e3 * highest:.1f} mm high and covers {1e4 * lies.area:.1f} cm²; from a"
-            f" table the camera tells what is {1e3 * LEAST_HEIGHT:.0f} mm high and covers"
-            f" {1e4 * LEAST_AREA:.0f} cm² at least"
+            f"object {thing.name} is {1e3 * highest:.1f} mm high and covers {1e4 * lies.area:.1f} cm²; to be"
+            f" detected, it must be at least {1e3 * LEAST_HEIGHT:.0f} mm high and cover at least"
+            f" {1e4 * LEAST_AREA:.0f} cm²"
         )
 
 
@@ -95,8 +95,8 @@ def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> Non
     camera, highest = scenario.camera, float(thing.height.max())
     if camera.height - highest < NEAREST:
         raise ValueError(
-            f"camera.height: from {camera.height:g} m the top of object {thing.name} is"
-            f" {camera.height - highest:.3f} m away; the camera sees what is {NEAREST:g} m away at least"
+            f"camera.height: at {camera.height:g} m the top of object {thing.name} is"
+            f" {camera.height - highest:.3f} m away; the camera needs at least {NEAREST:g} m"
         )
     corners = np.asarray(lies.exterior.coords)
     top = np.column_stack([corners, np.full(len(corners), highest)])
@@ -107,7 +107,7 @@ def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> Non
         x, y, _ = scenario.object.pose
         middle = (size - 1) / 2 / camera.focal * (camera.height - highest)
         raise ValueError(
-            f"camera: object {thing.name} at x = {x:g} m, y = {y:g} m is not whole in the picture, which"
+            f"camera: object {thing.name} at x = {x:g} m, y = {y:g} m is not wholly in the picture, which"
             f" shows {2 * middle[0]:.2f} m by {2 * middle[1]:.2f} m about ({camera.position[0]:g},"
-            f" {camera.position[1]:g}) m; see camera.position, height, yaw and fov_y"
+            f" {camera.position[1]:g}) m; check camera.position, height, yaw and fov_y"
         )

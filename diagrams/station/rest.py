@@ -1,9 +1,9 @@
-"""An object that lies still is held where it is until the arm is about to touch it, which saves time.
+"""Locks an object at rest until the arm is about to touch it, which saves time.
 
-Half of what a step of the plant takes goes into the contacts of the object's feet with the table, also while
-the arm is far away. A lock on the object's body takes them out of the step, and a collision filter spares
-looking for them. What is left out is that Drake's regularised friction lets an object creep at less than the
-stiction tolerance.
+The contacts between the object's feet and the table take half the time of a plant step, even while the arm is
+far away. Locking the object's body removes them from the step, and a collision filter avoids searching for
+them. The only difference is that the object no longer creeps at less than the stiction tolerance, as Drake's
+regularised friction allows.
 """
 
 import numpy as np
@@ -21,26 +21,26 @@ from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
 
 PERIOD = 0.02
-"""s between two looks at the object and the arm."""
+"""s between two checks of the object and the arm."""
 
 QUIET = 0.2
-"""s for which an object lies still before it is held; one that begins to tip is faster by then."""
+"""s for which an object must lie still before it is locked; one that starts to tip is faster by then."""
 
-# m within which a part of the arm wakes the object, and farther off if it comes nearer: where it would be
-# within `_ROOM` two looks later. One that speeds up by less than 12 m/s² cannot touch it before.
+# m within which a part of the arm releases the object; an approaching part does so when it would be within
+# `_ROOM` two checks later. A part that accelerates by less than 12 m/s² cannot touch it earlier.
 _ROOM = 0.005
-_PLACE = 12  # numbers that say where the object is: its origin, and its axes as long as it reaches, m
-_SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
+_PLACE = 12  # numbers that give the object's pose: its origin, and its axes scaled to its reach, m
+_SAME = 1e-9  # m; a locked object that moved by more was placed from outside
 
 
 class RestWatch(PythonSystem):
-    """Whether the object lies still and no part of the arm is about to touch it.
+    """Watches whether the object lies still and no part of the arm is about to touch it.
 
     Inputs are the plant's `body_poses` and `body_spatial_velocities`. The output `at_rest` (1,) is 1 or 0. It
-    becomes 1 after `QUIET` in which no point of the object was faster than the
-    stiction tolerance, and 0 at the first look at which one is, at which the object is elsewhere than at the
-    look before, or the arm is near; see `_ROOM`. Distances are between the boxes about single shapes, which
-    are never larger than those between the shapes.
+    becomes 1 after `QUIET` during which no point of the object was faster than the stiction tolerance. It
+    becomes 0 at the first check at which a point is faster, the object has moved since the last check, or the
+    arm is near; see `_ROOM`. Distances are between bounding boxes of single shapes, which never exceed the
+    distances between the shapes.
 
     Args:
         plant, scene_graph: finalized, with the object in it.
@@ -62,8 +62,8 @@ class RestWatch(PythonSystem):
         self._corners = np.array([points for _, points in parts])
         self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
-        # How long it has been still, s; where it was at the last look, m; how far off each part of
-        # the arm was from each of its own, m. One number for all would hide one that comes behind another.
+        # Time at rest, s; pose at the last check, m; distance between each part of the arm and each of the
+        # object, m. A single distance would hide a part that approaches behind another.
         state = self.DeclareDiscreteState(1 + _PLACE + len(self._corners) * len(self._low))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
         self.declare_vector_output("at_rest", 1, self._at_rest, {self.discrete_state_ticket(state)})
@@ -88,7 +88,7 @@ class RestWatch(PythonSystem):
         result.SetFromVector([still_for + PERIOD if still else 0.0, *place, *gap])
 
     def _gaps(self, X_WB: list[RigidTransform]) -> FloatArray:
-        """m between each part of the arm and each of the object."""
+        """Distance between each part of the arm and each of the object, m."""
         X_OW = X_WB[self._object].inverse()
         pose = {link: (X_OW @ X_WB[link]).GetAsMatrix34() for link in set(self._bodies)}
         X_OL = np.array([pose[link] for link in self._bodies])
@@ -101,10 +101,10 @@ class RestWatch(PythonSystem):
 
 
 class Hold:
-    """Locks the object in a plant's Context, and looks no more for contacts between it and what is fixed.
+    """Locks the object in a plant's Context and filters its contacts with fixed bodies.
 
     Args:
-        plant, scene_graph: finalized, with the object in it, and collision filters as they shall be.
+        plant, scene_graph: finalized, with the object in it and final collision filters.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
@@ -125,12 +125,12 @@ class Hold:
                 self._together.AllowBetween(GeometrySet(shapes), GeometrySet(list(touched)))
 
     def set(self, plant: MultibodyPlant, scene_graph: SceneGraph, root: Context, held: bool) -> None:
-        """Lock the object, or unlock it, unless it is that way already.
+        """Lock or unlock the object, unless it is in that state already.
 
         Args:
-            plant, scene_graph: the same, which are not kept here so that Python can free them.
-            root: of the diagram that they are in.
-            held: whether it shall be locked.
+            plant, scene_graph: the same ones, not stored here so that Python can free them.
+            root: Context of the diagram that they are in.
+            held: whether to lock it.
         """
         body, state = plant.GetBodyByName(BODY), plant.GetMyMutableContextFromRoot(root)
         if held == body.is_locked(state):
@@ -148,7 +148,7 @@ class Hold:
 def _boxes(
     plant: MultibodyPlant, scene_graph: SceneGraph, link: BodyIndex
 ) -> list[tuple[BodyIndex, FloatArray]]:
-    """Each shape that a body can touch the arm with, as (8, 3) corners of a box about it in its frame, m."""
+    """Shapes of a body that can touch the arm, as (8, 3) corners of bounding boxes in the body's frame, m."""
     inspector = scene_graph.model_inspector()
     result = []
     for shape in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link), Role.kProximity):

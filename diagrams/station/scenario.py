@@ -1,9 +1,9 @@
-"""Everything about the robot's cell that a user tunes: YAML dataclasses like those of Drake's scenarios.
+"""Settings of the robot cell: YAML dataclasses like those of Drake's scenarios.
 
-`read_scenario` reads them from a file; what is wrong in it is said by the name of the field.
+`read_scenario` reads them from a file; its errors name the field that is wrong.
 """
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+# Annotations stay objects, because Drake's YAML reader inspects them.
 
 import dataclasses
 import difflib
@@ -43,7 +43,7 @@ from slipmap.models.objects.true_object import (
 from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings, RepairSettings
 
 LARGEST = 2**16
-"""Bytes of a scenario file; one with all that can be set has 5 kB."""
+"""Largest size of a scenario file, bytes; one with every setting has 5 kB."""
 
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
@@ -59,59 +59,61 @@ class ScenarioError(BadInput, ValueError):
 class ObjectSettings:
     """The object on the table: one of the benchmark, or your own from a mesh or a label image."""
 
-    name: str = "hammer"  # of a benchmark object; not used where `mesh` or `labels` is given
+    name: str = "hammer"  # of a benchmark object; ignored if `mesh` or `labels` is given
     mesh: str | None = None  # file that trimesh can load; needs `mass` and `mu`
-    # picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`
+    # image whose pixel values label segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`
     labels: str | None = None
     # mass, mu: of an object of one material, from a mesh, kg
     mass: float | None = None
     mu: float | None = None
-    # of the mesh, 0.001 for millimetres; as the file says where missing, else 1
+    # unit of the mesh, 0.001 for millimetres; by default that of the file, else 1
     metres_per_unit: float | None = None
-    up: str | None = None  # the mesh's axis that points up, such as y or -z; as its format says where missing
-    background: int = 0  # label of the pixels that are not the object
+    up: str | None = None  # the mesh's axis that points up, such as y or -z; by default that of its format
+    background: int = 0  # label of the pixels outside the object
     metres_per_pixel: float = 0.001  # side of a pixel, m
     # masses, frictions: of each label
     masses: dict[str, float] = field(default_factory=dict)
     frictions: dict[str, float] = field(default_factory=dict)
     height: float = 0.03  # of an object from a label image, m
-    mu_finger: float = DEFAULT_MU_FINGER  # friction with the finger, of your own object
-    cells: int = DEFAULT_CELLS  # wanted number of the true object's cells, of your own object
-    # x and y in m, turn in degrees, at the beginning
+    mu_finger: float = DEFAULT_MU_FINGER  # friction of your own object with the finger
+    cells: int = DEFAULT_CELLS  # wanted number of true cells of your own object
+    # initial x and y in m and rotation in degrees
     pose: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         if len(self.pose) != 3 or not np.isfinite(self.pose).all():
-            raise ValueError(f"object.pose must be x, y in m and a turn in degrees, got {self.pose}")
+            raise ValueError(f"object.pose must be x, y in m and a rotation in degrees, got {self.pose}")
         if self.mesh is not None and self.labels is not None:
             raise ValueError("object: give mesh or labels, not both")
         for name in ("mass", "mu", "metres_per_unit"):
             value = getattr(self, name)
             if value is not None and self.mesh is None:
                 raise ValueError(
-                    f"object.{name} is for an object of your own, from a mesh; {self.called} has its own"
+                    f"object.{name} only applies to your own object from a mesh; {self.called} has its own"
                 )
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"object.{name} must be positive, got {value}")
         if self.up is not None and (self.mesh is None or self.up not in DIRECTIONS):
-            raise ValueError(f"object.up is one of {', '.join(DIRECTIONS)}, for a mesh, got {self.up!r}")
+            raise ValueError(
+                f"object.up must be one of {', '.join(DIRECTIONS)} and needs a mesh, got {self.up!r}"
+            )
         if self.mesh is not None and (self.mass is None or self.mu is None):
             raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
             if not (name.isascii() and name.isdigit() and len(name) <= _LONGEST_LABEL):
-                raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
+                raise ValueError(f"object: keys of masses and frictions must be integer labels, got {name!r}")
 
     @property
     def called(self) -> str:
-        """The object's name: that of its file, if it comes from one."""
+        """The object's name; that of its file if it comes from one."""
         return Path(self.mesh or self.labels or self.name).stem
 
     def make(self) -> TrueObject:
-        """The object.
+        """Make the true object.
 
         Raises:
-            ValueError: it cannot be had; names the object, the file or the number.
+            ValueError: it cannot be made; names the object, the file or the number.
         """
         if self.mesh is not None:
             assert self.mass is not None and self.mu is not None  # see check
@@ -136,17 +138,17 @@ class ObjectSettings:
 
 @dataclass
 class TableSettings:
-    """The table, its middle at the world's origin."""
+    """The table, centred on the world's origin."""
 
     shape: str = "round"  # round or rectangle
     radius: float = 0.5  # of a round table, m
     size: list[float] = field(default_factory=lambda: [1.2, 0.8])  # along x and y of a rectangular one, m
-    # of the table's own surface; the object's friction with it is the object's affair, but must be below
-    # twice this
+    # of the table's own surface; the object's friction with it is set by the object, but must be below twice
+    # this
     friction: float = 0.6
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         if self.shape not in ("round", "rectangle"):
             raise ValueError(f"table.shape must be round or rectangle, got {self.shape!r}")
         lengths = np.array([self.radius, *self.size])
@@ -170,7 +172,7 @@ class ArmSettings:
     models: str = "primitives"
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         if self.models not in ARM_MODELS:
             raise ValueError(f"arm.models must be one of {', '.join(ARM_MODELS)}, got {self.models!r}")
 
@@ -179,34 +181,34 @@ class ArmSettings:
 class SimulationSettings:
     """The simulated world."""
 
-    # of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its record jitters
-    # by what it moves in a step, and a tap seems 20 % faster or slower. A path that is commanded in rows
-    # wants rows as long as steps, or a multiple: else the finger jerks.
+    # of the plant, s; best a divisor of 10 ms, the period at which the finger is recorded: with 3 ms its
+    # recording jitters by its motion in one step, and a tap seems 20 % faster or slower. The rows of a
+    # commanded path should be spaced by a multiple of the step, or the finger jerks.
     time_step: float = 0.0025
 
     def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
+        """Raise ValueError for an invalid field."""
         if not 1e-4 <= self.time_step <= 0.01:
             raise ValueError(f"simulation.time_step must lie between 0.0001 and 0.01 s, got {self.time_step}")
 
 
 @dataclass
 class Scenario:
-    """A robot's cell and what is done in it.
+    """A robot cell and its task.
 
     Attributes:
-        object: what lies on the table.
-        table: where it lies.
-        arm: what pushes it.
-        execution: how it moves.
+        object: on the table.
+        table: its shape and friction.
+        arm: its model.
+        execution: how the arm moves.
         guard: when a real arm is stopped.
-        camera: what watches.
-        depth_noise: how well it sees.
-        hidden: physics of the true world that the plain model does not have; nothing by default.
+        camera: its pose and pictures.
+        depth_noise: of the camera.
+        hidden: physics of the true world that the plain model lacks; none by default.
         pokes: how the object is explored.
         goals: where at the table's edge it may be left.
         pushes: how it is pushed there.
-        repair: how pushes that surprise the model are looked into, where the run is to adapt.
+        repair: how pushes that surprise the model are diagnosed, if the run adapts.
         simulation: how the world is stepped.
         gravity: m/s².
 
@@ -234,18 +236,18 @@ class Scenario:
     gravity: float = GRAVITY
 
     def check(self) -> None:
-        """Raise ValueError where gravity makes no sense."""
+        """Raise ValueError for an invalid gravity."""
         if not 0.1 <= self.gravity <= 50.0:
             raise ValueError(f"gravity must lie between 0.1 and 50 m/s², got {self.gravity}")
 
 
 def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
-    """Read the robot's cell from a YAML file.
+    """Read a scenario from a YAML file.
 
-    A mesh or label image is looked for beside the file, then from the working folder.
+    The path of a mesh or label image is relative to that file or, if there is none, to the working folder.
 
     Args:
-        object_name: of the benchmark object that lies there instead of the file's.
+        object_name: benchmark object to use instead of the file's.
 
     Raises:
         ScenarioError: see `read_settings`; or the object's file is in neither place.
@@ -264,30 +266,30 @@ def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
 def _found(name: str, scenario: Path, field: str) -> Path:
     places = list(dict.fromkeys(place.absolute() for place in (scenario.parent / name, Path(name))))
     for place in places:
-        with suppress(OSError, ValueError):  # a name that no disk can hold
+        with suppress(OSError, ValueError):  # an impossible file name
             if place.is_file():
                 return place
     if len(name) > _LONGEST or not name.isprintable():
         raise ScenarioError(f"{scenario}: {field}: there is no file {_shown(name)}")
-    tried = ", nor ".join(str(place) for place in places)
+    tried = " or ".join(str(place) for place in places)
     raise ScenarioError(f"{scenario}: {field}: there is no file {tried}")
 
 
 def read_settings(path: str | Path, schema: type[T]) -> T:
-    """Read a dataclass from a YAML file; what the file leaves out keeps its default.
+    """Read a dataclass from a YAML file; fields that the file leaves out keep their defaults.
 
     Args:
         schema: dataclass, whose fields may be dataclasses.
 
     Raises:
-        ScenarioError: no such file, no YAML, an unknown field, a value of another type, or one that the
-            dataclass itself refuses.
+        ScenarioError: no such file, invalid YAML, an unknown field, a value of the wrong type, or one that
+            the dataclass's own check refuses.
     """
     path = Path(path)
     try:
         text = read_bounded(path, LARGEST).decode("utf-8")
         for key, first, again in _repeated_keys(yaml.compose(text, Loader=yaml.SafeLoader)):
-            raise ScenarioError(f"{path}: {key} stands in line {first} and again in line {again}; keep one")
+            raise ScenarioError(f"{path}: {key} is given in line {first} and again in line {again}; keep one")
         content = yaml.safe_load(text)
     except UnreadableFile as error:
         raise ScenarioError(f"{path}: {error}") from error
@@ -295,7 +297,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         raise
     except RecursionError as error:
         raise ScenarioError(f"{path}: is nested too deeply to be a scenario") from error
-    # Beside its own errors, the parser lets those of the types pass: a month 99, an integer of 5000 digits.
+    # The parser also raises errors of the types, such as for a month 99 or an integer of 5000 digits.
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
         raise ScenarioError(f"{path}: is not YAML ({shown_error(error)})") from error
     if content is None:
@@ -311,7 +313,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
 
 
 def _shown(value: Any) -> str:
-    """A value as it stands in Python, of bounded length; a few lines of YAML can mean billions of items."""
+    """A value as in Python, of bounded length, because a few lines of YAML can mean billions of items."""
     brief = reprlib.Repr()
     brief.maxlist = brief.maxdict = 8
     brief.maxlevel = 3
@@ -325,7 +327,7 @@ def _name(key: Any) -> str:
 
 
 def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
-    """Keys that stand twice in one mapping, and their lines from 1. YAML would take the last."""
+    """Keys given twice in one mapping, and their lines from 1; YAML would silently use the last."""
     waiting: list[tuple[str, Any]] = [("", root)]
     seen: set[int] = set()
     while waiting:
@@ -349,7 +351,7 @@ def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
 
 
 def _refuse(settings: Any, where: str) -> None:
-    """Ask every part, once complete, whether its numbers make sense."""
+    """Run the check of every part, inner parts first."""
     for part in dataclasses.fields(settings):
         value = getattr(settings, part.name)
         if dataclasses.is_dataclass(value):
@@ -360,7 +362,7 @@ def _refuse(settings: Any, where: str) -> None:
     try:
         check()
     except ValueError as error:
-        # A section's own check names it; a part of a section does not know where it belongs.
+        # The check of a section names it, but that of a part of a section does not.
         raise ValueError(f"{where}: {error}" if "." in where else str(error)) from error
 
 
@@ -391,19 +393,19 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         return
     kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
     if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
-        names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+        names = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
         hint = _exponent(value) if wanted is not str else ""
         raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
     if wanted is float:
         try:
             float(value)
         except OverflowError as error:
-            wrong = f"{where} must be a number that a computer holds, got {_shown(value)}"
+            wrong = f"{where} is too large a number, got {_shown(value)}"
             raise ScenarioError(f"{path}: {wrong}") from error
 
 
 def _exponent(value: Any) -> str:
-    """What to write instead of a number that YAML reads as a text, such as 1e6."""
+    """A hint for a number that YAML reads as text, such as 1e6."""
     try:
         number = float(value) if isinstance(value, str) else None
     except ValueError:
@@ -413,7 +415,7 @@ def _exponent(value: Any) -> str:
     mantissa, _, power = f"{number:e}".partition("e")
     digits = mantissa.rstrip("0")
     written = f"{digits}0e{power}" if digits.endswith(".") else f"{digits}e{power}"
-    return f", which YAML reads as a text; write {written}"
+    return f", which YAML reads as text; write {written}"
 
 
 def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:

@@ -1,4 +1,4 @@
-"""The true object in Drake's world: one rigid body on many small feet, each with its own friction."""
+"""The true object in Drake: one rigid body on many small feet, each with its own friction."""
 
 from itertools import groupby
 
@@ -18,11 +18,11 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
 GRAVITY = 9.81
-"""m/s², where nothing else is given."""
+"""Default gravity, m/s²."""
 BODY = "object"
 """Name of the body and of the model instance's only link."""
 DISC = "disc"
-"""Name of the body of a round table's surface as feet touch it; see `add_table`."""
+"""Name of the body with the surface of a round table that feet touch; see `add_table`."""
 FINGER_FRICTION = 0.3
 """Friction coefficient of the finger's own geometry, as in its model file."""
 
@@ -32,25 +32,26 @@ STICTION = 1e-4
 SINK = 2e-5
 """Depth to which every foot sinks in under the load of its cell, m."""
 
-_FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
-_CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
+_FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
+_CLEARANCE = 1e-4  # m; between the table and the blocks, which the finger and the table's edge touch
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
-_MANY_CORNERS = 100  # of the outline of a block, as a scan has them: it is simplified,
-_SCAN_ERROR = 3e-4  # m, by no more than this
+_MANY_CORNERS = 100  # outlines of blocks with more corners, such as from a scan, are simplified
+_SCAN_ERROR = 3e-4  # m; largest error of that
 _TABLE_STIFFNESS = 1e8  # N/m
 _DISSIPATION = 20.0  # s/m
 
-# Four points at this distance from the middle (cell widths), along its diagonals, resist spinning like the
-# whole square: the mean distance of a square's points from its middle, (√2 + ln(1 + √2)) / 6.
+# Four points on the diagonals at this distance from the centre (in cell widths) resist spinning like the
+# whole square: the mean distance of a square's points from its centre, (√2 + ln(1 + √2)) / 6.
 _FOOT_DISTANCE = (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6
 _FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
 
 
 def plant_config(time_step: float) -> MultibodyPlantConfig:
-    """Settings under which the object slides as Coulomb's law wants it.
+    """Settings under which the object slides according to Coulomb's law.
 
-    With the `lagged` approximation a body of nine cells turns within 0.4° of the exact solution at steps of 1
-    to 5 ms; below the stiction tolerance friction falls to zero, so it must be small against a push's speed.
+    With the `lagged` approximation, a body of nine cells turns within 0.4° of the exact solution at steps of
+    1 to 5 ms. Friction falls to zero below the stiction tolerance, which must be small compared with a push's
+    speed.
     """
     return MultibodyPlantConfig(
         time_step=time_step,
@@ -61,7 +62,7 @@ def plant_config(time_step: float) -> MultibodyPlantConfig:
 
 
 def table_contact(friction: float) -> geometry.ProximityProperties:
-    """Contact properties of a table under the object: hard, the feet give way."""
+    """Contact properties of the table: hard, so that only the feet yield."""
     return _contact(_TABLE_STIFFNESS, friction)
 
 
@@ -77,7 +78,7 @@ def _contact(stiffness: float, friction: float) -> geometry.ProximityProperties:
 
 
 def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
-    """Coefficients that Drake's rule 2 μ₁ μ₂ / (μ₁ + μ₂) combines with a given one to the wanted ones.
+    """Coefficients for which Drake's rule 2 μ₁ μ₂ / (μ₁ + μ₂) gives the wanted ones with a given partner.
 
     Args:
         wanted: (k,) coefficients of the pairs.
@@ -85,14 +86,14 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
         what: the pairs, for the message.
 
     Raises:
-        ValueError: a wanted coefficient of twice the given one or more, which no partner can reach.
+        ValueError: a wanted coefficient is twice the given one or more, which no partner can reach.
     """
     wanted = np.asarray(wanted, dtype=float)
     worst = float(wanted.max())
     if not worst < 2 * given:
         raise ValueError(
-            f"{what}: a friction coefficient of {worst:.3g} is out of reach of a surface with {given:.3g}, "
-            f"because Drake combines two to 2 μ₁ μ₂ / (μ₁ + μ₂); give the surface more than {worst / 2:.3g}"
+            f"{what}: a friction coefficient of {worst:.3g} cannot be reached on a surface with {given:.3g}, "
+            f"as Drake combines two to 2 μ₁ μ₂ / (μ₁ + μ₂); give the surface more than {worst / 2:.3g}"
         )
     return wanted * given / (2 * given - wanted)
 
@@ -100,7 +101,7 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
 def own_frictions(
     true_object: TrueObject, table_friction: float, finger_friction: float = FINGER_FRICTION
 ) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of the object's own surfaces: cells (n,), and sides (1,), which a finger pushes.
+    """Coefficients of the object's own surfaces: cells (n,), and sides (1,), against which a finger pushes.
 
     Raises:
         ValueError: see `partner_friction`.
@@ -113,7 +114,7 @@ def own_frictions(
 
 
 def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
-    """Connect where the plant's bodies are, and how they move, to the ports of a system named so."""
+    """Connect the plant's `body_poses` and `body_spatial_velocities` to a system's ports of these names."""
     for name in ("body_poses", "body_spatial_velocities"):
         builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
 
@@ -128,18 +129,18 @@ def add_sliding_object(
 ) -> ModelInstanceIndex:
     """Add an object to the plant as a free body named "object", in a model instance of that name.
 
-    Body frame and object frame are the same. Each cell stands on four feet (small spheres) whose friction
-    with the table is the cell's. A foot is as stiff as its cell is heavy: all sink in equally deep, so that
-    at rest each carries the weight of its cell. A finger, or the table's edge once the object tips over it,
-    touches the object's blocks, which end 0.1 mm above the table; feet are too low for a finger.
+    Body frame and object frame coincide. Each cell stands on four feet (small spheres) that have the cell's
+    friction with the table. The stiffness of a foot is proportional to its cell's mass: all sink in equally,
+    so that at rest each carries the weight of its cell. The finger, and the table's edge once the object tips
+    over it, touch the object's blocks, which end 0.1 mm above the table; feet are too low for a finger.
 
     Args:
-        plant: registered with a scene graph, not finalized, a round table in it already; see `plant_config`.
-            Its gravity sets how stiff the feet are.
+        plant: registered with a scene graph, not finalized, with any round table already in it; see
+            `plant_config`. Its gravity determines the stiffness of the feet.
         table_friction: of the table's own geometry (`table_contact`).
-        finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
-        single_feet: one foot in the middle of each cell instead of four. Simulates several times faster; that
-            a cell by itself resists spinning is lost.
+        finger_friction: of the finger's own geometry; together with that of the blocks it gives `mu_finger`.
+        single_feet: one foot at the centre of each cell instead of four. Several times faster, but a single
+            cell no longer resists spinning.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
@@ -180,7 +181,7 @@ def resting_pose(x: float, y: float, angle: float) -> RigidTransform:
 
 
 def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
-    """Of the cells as solid upright boxes of their height, about the object frame's origin."""
+    """Inertia about the object frame's origin, with the cells as solid boxes of their height."""
     width = true_object.grid.width
     total = SpatialInertia.Zero()
     for center, mass, height in zip(
@@ -195,14 +196,14 @@ def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
 def _share_round_table(
     plant: MultibodyPlant, feet: list[geometry.GeometryId], blocks: list[geometry.GeometryId]
 ) -> None:
-    """Feet touch the disc of a round table, blocks the rest of it."""
+    """Let feet touch the disc of a round table, and blocks the rest of it."""
     if not plant.HasBodyNamed(DISC):
         return
     disc, table = (
         geometry.GeometrySet(plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)))
         for name in (DISC, "table")
     )
-    # The plant does not give away its scene graph, a parser does.
+    # The plant does not expose its scene graph, but a parser does.
     declaration = geometry.CollisionFilterDeclaration()
     declaration.ExcludeBetween(geometry.GeometrySet(feet), table)
     declaration.ExcludeBetween(geometry.GeometrySet(blocks), disc)

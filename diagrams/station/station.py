@@ -1,4 +1,4 @@
-"""The robot's cell in simulation, with the ports that the real one has."""
+"""The simulated robot cell, with the ports of the real one."""
 
 import numpy as np
 from pydrake.common.cpp_param import List
@@ -31,7 +31,7 @@ from slipmap.diagrams.station.table import add_table
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 TRUTH = "truth."
-"""What ports begin with that only a simulation has."""
+"""Prefix of the ports that only a simulation has."""
 
 
 class Station(PythonDiagram):
@@ -58,12 +58,12 @@ class Station(PythonDiagram):
         - truth.object_pose
         - truth.contact_results
 
-    The arm's and the gripper's ports are those of `add_arm_drivers`. Pictures are as they come from the
-    camera, with its noise; `camera.X_WC` is a `RigidTransform`. `iiwa.age` (1,) and `camera.age` (1,) are how
-    old the arm's state and the picture are, s: nothing in a simulation. `truth.object_pose` is X_WO.
+    The ports of arm and gripper are those of `add_arm_drivers`. Pictures include the camera's noise;
+    `camera.X_WC` is a `RigidTransform`. `iiwa.age` (1,) and `camera.age` (1,) are the ages of the arm's state
+    and of the picture, s: zero in a simulation. `truth.object_pose` is X_WO.
 
     Raises:
-        ValueError: an object or a surface that cannot be had.
+        ValueError: an object or a surface that cannot be made.
         RendererUnavailable: this machine cannot render pictures.
 
     Example:
@@ -113,20 +113,20 @@ class Station(PythonDiagram):
         self.set_name("station")
 
     def after_step(self, root: Context) -> None:
-        """Hold the object while it lies still and nothing is near it; see `rest`.
+        """Lock the object while it lies still and nothing is near it; see `rest`.
 
-        To be called after each step of a simulator, with the Context of the diagram that the station is in.
-        Without it a simulation is slower.
+        Call it after each step of a simulator, with the Context of the diagram that the station is in.
+        Without it, a simulation is slower.
         """
         (at_rest,) = self._rest_watch.get_output_port().Eval(self._rest_watch.GetMyContextFromRoot(root))
         self._hold.set(self.plant, self._scene_graph, root, bool(at_rest))
 
 
 def take_fixed_steps(simulator: Simulator) -> None:
-    """Integrate what is continuous in a station, which is the arm's control, without error control.
+    """Integrate a station's continuous state, which is the arm's control, without error control.
 
-    It is the integral of an error that changes little between two steps of the plant; looking at it more
-    often would compute each time all that the arm is asked for.
+    It is the integral of an error that changes little between two steps of the plant; each further evaluation
+    would recompute everything that is commanded to the arm.
     """
     ResetIntegratorFromFlags(simulator, "explicit_euler", 0.005)
 

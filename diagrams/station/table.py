@@ -1,4 +1,4 @@
-"""The table: top at z = 0 of the world, round or rectangular, and the floor below it."""
+"""The table, round or rectangular with its top at z = 0 of the world, and the floor below it."""
 
 import numpy as np
 from pydrake.geometry import Box, Convex, Cylinder, Shape
@@ -10,15 +10,15 @@ from slipmap.diagrams.station.sliding_object import DISC, table_contact
 from slipmap.models.measurements.push_dataset import Table
 
 HEIGHT = 0.72
-"""Of the table top above the floor, m."""
+"""Height of the table top above the floor, m."""
 TABLE_FRICTION = 0.6
 """Friction coefficient of the table's own geometry."""
 THICKNESS = 0.03
-"""Of the table top, m."""
+"""Thickness of the table top, m."""
 ROUND_TABLE = Table("round", (0.0, 0.0), radius=0.5)
 """The table of the paper's experiments."""
 
-_SIDES = 360  # of the prism that a round top is
+_SIDES = 360  # of the prism that represents a round top
 _COVER = 0.002  # m; upper layer of the top
 _FLOOR = (8.0, 8.0, 0.2)  # m
 _TOP = (0.84, 0.82, 0.78, 1.0)
@@ -30,18 +30,18 @@ _GROUND = (0.38, 0.40, 0.43, 1.0)
 def add_table(
     plant: MultibodyPlant, table: Table = ROUND_TABLE, friction: float = TABLE_FRICTION
 ) -> ModelInstanceIndex:
-    """Add a table and the floor it stands on, fixed to the world, in a model instance named "table".
+    """Add a table and the floor, fixed to the world, in a model instance named "table".
 
-    Drake reports contacts of a cylinder's rim with a convex body along wrong normals: a block that tips over
-    a round table's rim would be thrown off it. So a round top is a prism of 360 sides, and beside it a
-    cylinder for the many feet of `add_sliding_object`, which alone it serves well and fast.
+    Drake reports contacts between a cylinder's rim and a convex body with wrong normals: a block that tips
+    over a round table's rim would be thrown off. A round top is therefore a prism with 360 sides, plus a
+    cylinder that only the many feet of `add_sliding_object` touch, for which it is accurate and fast.
 
     Args:
         plant: registered with a scene graph, not finalized.
-        friction: friction coefficient of the table's own geometry (the object's feet make up for it).
+        friction: friction coefficient of the table's own geometry (the object's feet compensate for it).
 
     Raises:
-        ValueError: a table without the measure that its shape needs, or a friction that is not positive.
+        ValueError: a table without the dimension that its shape needs, or a friction that is not positive.
     """
     if not friction > 0:
         raise ValueError(f"table: friction must be positive, got {friction}")
@@ -77,7 +77,7 @@ def _plate(table: Table, thickness: float, inset: float = 0.0) -> Shape:
 
 
 def _prism(cylinder: Cylinder) -> Convex:
-    """An upright prism between the circles inside and outside of its sides, 0.02 mm off at 0.5 m."""
+    """An upright prism whose sides cross the cylinder's circle, with an error of 0.02 mm at 0.5 m."""
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     radius = cylinder.radius() / np.sqrt(np.cos(np.pi / _SIDES))
     ring = radius * np.array([np.cos(turn), np.sin(turn)])

@@ -1,1 +1,1 @@
-"""LeafSystems around the models and planners, to be wired to a station."""
+"""LeafSystems that wrap the models and planners, ready to be wired to a station."""

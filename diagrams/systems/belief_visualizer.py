@@ -1,6 +1,7 @@
-"""`BeliefVisualizer`: what is believed of the object, drawn over it in Meshcat.
+"""`BeliefVisualizer`: draws the belief about the object over it in Meshcat.
 
-`shown` turns a belief into colours, `legend` draws their scale; a page of the application uses them too.
+`shown` turns a belief into colours and `legend` draws their scale; one of the application's pages uses both
+too.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
 MAGNIFIED = 5.0
-"""Residual arrows are so many times as long as the residual."""
+"""Length of a residual arrow as a multiple of the residual."""
 
 BLACK, ORANGE, RED, BLUE = (0.08, 0.08, 0.08), (0.93, 0.45, 0.08), (0.80, 0.10, 0.15), (0.12, 0.44, 0.71)
 
@@ -39,32 +40,32 @@ KEY = (
     (BLACK, "observed outline"),
     (ORANGE, "predicted outline"),
     (RED, f"residual × {MAGNIFIED:.0f}"),
-    (BLUE, "the finger's way"),
+    (BLUE, "path of the finger"),
 )
-"""What the colours over the object mean."""
+"""Meaning of the colours over the object."""
 
 BOARD = (0.60, 0.42)
 """Size of the legend, m."""
 
 NOTICE = (0.60, 0.10)
-"""Size of the sign over it, m."""
+"""Size of the notice above it, m."""
 
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is shown of a belief."""
+    """The part of a belief that is drawn."""
 
-    hypotheses: np.ndarray  # (k,) the most probable ones, the most probable first
-    # (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: their mean over all hypotheses, then of
+    hypotheses: np.ndarray  # (k,) indices of the most probable ones, in order of falling probability
+    # (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: first the mean over all hypotheses, then each of
     # `hypotheses`
     values: FloatArray
-    # (3,) ends of the colour scales, which begin at 0; the largest few percent may lie beyond
+    # (3,) upper ends of the colour scales, which start at 0; the largest few per cent may lie beyond
     tops: FloatArray
 
     def beyond(self, which: int) -> str:
-        """Whether values of map `which` lie beyond the end of its scale, as `Figure.colorbar` takes it."""
+        """Whether values of map `which` exceed its scale, as the `extend` argument of `Figure.colorbar`."""
         return beyond(self.values[which], float(self.tops[which]))
 
     def colors(self, which: int, hypothesis: int) -> FloatArray:
@@ -74,12 +75,12 @@ class Shown:
 
 
 def shown(belief: Belief, most: int, *, round_tops: bool = False) -> Shown:
-    """The mean of a belief and at most so many of its hypotheses.
+    """The mean of a belief and its most probable hypotheses.
 
     Args:
-        most: hypotheses.
+        most: largest number of hypotheses.
         round_tops: whether scales end at round numbers, so that they seldom change with the belief; otherwise
-            they end where those of `maps_figure` do for as many hypotheses.
+            they end where those of `maps_figure` do for the same number of hypotheses.
     """
     maps, p = belief.maps, belief.probability
     hypotheses = np.argsort(-p, kind="stable")[:most]
@@ -90,7 +91,7 @@ def shown(belief: Belief, most: int, *, round_tops: bool = False) -> Shown:
 
 
 def rests_on(belief: Belief) -> str:
-    """What a belief rests on, a few words for a heading."""
+    """The basis of a belief, in a few words for a heading."""
     pushes = belief.taught
     return f"after {pushes} push{'es' * (pushes > 1)}" if pushes else f"of {len(belief)} hypotheses"
 
@@ -105,10 +106,10 @@ def _round_up(value: float) -> float:
 
 @styled
 def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
-    """PNG of the colour scale of map `which` and the probabilities of the hypotheses.
+    """PNG with the colour scale of map `which` and the probabilities of the hypotheses.
 
     Args:
-        basis: what the belief rests on, a few words.
+        basis: basis of the belief, in a few words.
     """
     figure = _board(f"Belief {basis}")
     figure.text(0.05, 0.76, TITLES[which], fontsize=10.5, color=INK, va="center")
@@ -129,20 +130,20 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
 
 @styled
 def blank_legend() -> bytes:
-    """PNG of the board before there is a belief."""
+    """PNG of the board while there is no belief."""
     figure = _board("No belief yet")
-    text = "The maps appear when the first push\nhas been learned from."
+    text = "The maps appear once the first push\nhas been learned from."
     figure.text(0.05, 0.62, text, fontsize=11.5, color=INK, va="center", linespacing=1.5)
     return _png(figure)
 
 
 @styled
 def notice(heading: str, line: str, errors: Sequence[float], *, alarming: bool) -> bytes:
-    """PNG of a sign over the board: what happened, and how far each push ended from its prediction.
+    """PNG of the notice above the board: what happened, and the prediction error of each push.
 
     Args:
-        errors: of the pushes that were predicted, in order, m.
-        alarming: whether it is in red.
+        errors: of the predicted pushes, in order, m.
+        alarming: whether to draw it in red.
     """
     inch, color = 6.4, RED if alarming else INK
     figure = Figure(figsize=(NOTICE[0] * inch, NOTICE[1] * inch), dpi=220)
@@ -160,7 +161,7 @@ def notice(heading: str, line: str, errors: Sequence[float], *, alarming: bool) 
 
 
 def _board(title: str) -> Figure:
-    """The title, and below what the colours over the object mean."""
+    """A board with its title and the key to the colours over the object."""
     inch = 6.4
     figure = Figure(figsize=(BOARD[0] * inch, BOARD[1] * inch), dpi=220)
     figure.patch.set_edgecolor(FAINT)
@@ -180,18 +181,18 @@ def _png(figure: Figure) -> bytes:
 
 
 MOST = 12
-"""Hypotheses that can be looked at one by one; the others are in the mean."""
+"""Hypotheses that can be viewed one by one; the mean includes all of them."""
 
 _DID = {
     "adopts": "added to the model",
     "keeps": "kept in the model",
     "drops": "effect dropped again",
-    "pushes on": "another push, to find out",
+    "pushes on": "another push is needed",
     "goes on without": "nothing to add to the model",
 }
 """What the robot did about a `Finding`, by its action."""
 
-_LINE = 60  # letters that fit into a line of the sign
+_LINE = 60  # characters per line of the notice
 
 _ARROWS = 8  # residual arrows, on cells spread over the object
 
@@ -199,43 +200,44 @@ LEAST_RESIDUAL = 3e-4
 """Shorter residuals are not drawn, m."""
 
 CLEARANCE = 2e-3
-"""Between the object's highest cell and the tiles, m."""
+"""Gap between the object's highest cell and the tiles, m."""
 
 VIEW = ((0.56, -0.56, 0.56), (0.07, 0.07, 0.12))
-"""Where a camera stands, and the point it looks at, that sees table and board whole and near, m."""
+"""Camera position and target that show the whole table and board from close by, m."""
 
 BOARD_PLACE = (0.34, 0.55, 0.41)
-"""Middle of the board, beside the table and behind it as seen from `VIEW`, m."""
+"""Centre of the board, beside the table and behind it as seen from `VIEW`, m."""
 
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
 
 
 class BeliefVisualizer(PythonSystem):
-    """Draws a belief and how it fares into Meshcat.
+    """Draws a belief, and how well it predicts, in Meshcat.
 
     Inputs, all optional:
-        belief: abstract, `Belief` or None, such as of `Identification`.
-        object_pose: abstract, `ObservedPose` of the object's frame in the world, m and rad: of a camera, of a
-            `TrialLogger`, or made by `ObservedPose.of` from a pose (3,).
+        belief: abstract, `Belief` or None, for example from `Identification`.
+        object_pose: abstract, `ObservedPose` of the object frame in the world, m and rad: from a camera, from
+            a `TrialLogger`, or from `ObservedPose.of` and a pose (3,).
         predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
         push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
-        watch: abstract, `Watch` of a `ModelMonitor`; repair: abstract, `Repair` of a `Diagnosis`.
-        seen_object: abstract, `SeenObject` or None: the tiles then lie `CLEARANCE` over the highest of its
+        watch: abstract, `Watch` from a `ModelMonitor`; repair: abstract, `Repair` from a `Diagnosis`.
+        seen_object: abstract, `SeenObject` or None: with it, the tiles lie `CLEARANCE` above its highest
             `cell_heights` (m) instead of at `height`.
 
-    Over the object, where it was last seen: its cells as tiles coloured by mass, friction or their product;
-    the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed
-    cells, `MAGNIFIED` times as long (red); the centres of mass of the hypotheses, their size growing with
-    probability (white). The push on the table (blue). A board with the colour scale and the
-    probabilities, empty until there is a belief, and over it a sign while the last push that was judged is
-    one that surprised, and from the first diagnosis on. Sliders choose the hypothesis (by falling
-    probability) and the map; they are read when this system publishes, as everything else is.
+    Drawn over the object, where it was last seen: its cells as tiles coloured by mass, friction or their
+    product; the observed outline (black) and the predicted one (orange); residual arrows from predicted to
+    observed cells, magnified by `MAGNIFIED` (red); and the hypotheses' centres of mass, larger for higher
+    probability (white). The push is drawn on the table (blue). A board shows the colour scale and the
+    probabilities; it is empty until there is a belief. A notice appears above it while the last judged push
+    is a surprising one, and from the first diagnosis on. Sliders choose the hypothesis (by falling
+    probability) and the map; like all inputs, they are read when this system publishes.
 
-    A recording keeps transforms and properties alone. Therefore every map of every belief is an object of its
-    own, which is made visible at its time; a page from `StaticHtml` shows them as chosen while recording.
+    A Meshcat recording stores only transforms and properties. Every map of every belief is therefore a
+    separate object, made visible when it is due; a page from `StaticHtml` shows the maps chosen while
+    recording.
 
-    What has been drawn is a property of the Meshcat, not of a Context: one visualizer per Meshcat and path.
+    What has been drawn is state of the Meshcat, not of a Context: use one visualizer per Meshcat and path.
 
     Args:
         path: of everything drawn, in the scene tree.
@@ -282,7 +284,7 @@ class BeliefVisualizer(PythonSystem):
         self.DeclareForcedPublishEvent(self._draw)
 
     def delete(self) -> None:
-        """Take everything out of the Meshcat."""
+        """Remove everything drawn from the Meshcat."""
         self._meshcat.Delete(self._path)
         self._forget()
 
@@ -319,14 +321,14 @@ class BeliefVisualizer(PythonSystem):
         self._sign(watch, repair, time)
 
     def _add_blank_board(self, time: float) -> None:
-        """A board that is seen until there is a belief."""
+        """Show an empty board until there is a belief."""
         if "board" not in self._visible:
             self._hidden("board/0", billboard(blank_legend(), *BOARD))
             self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
             self._show("board", "board/0", time)
 
     def _sign(self, watch: Watch | None, repair: Repair | None, time: float) -> None:
-        """A sign over the board where the last push that was judged surprised, or the model was repaired."""
+        """Show a notice above the board if the last judged push surprised or the model was repaired."""
         judged = () if watch is None else watch.judged
         found = repair.findings[-1] if repair is not None and repair.findings else None
         alarming = bool(judged) and judged[-1].surprising
@@ -335,7 +337,7 @@ class BeliefVisualizer(PythonSystem):
             last = judged[-1]
             name = f"notice/{last.trial}"
             heading = f"Push {last.trial + 1} ended {1e3 * last.error:.1f} mm from its prediction"
-            line = f"expected: {1e3 * last.allowed:.1f} mm at most. Does the model miss something?"
+            line = f"expected: {1e3 * last.allowed:.1f} mm at most. Is the model missing something?"
         elif found is not None:
             name = f"notice/{len(judged)}-{found.pushes}"
             heading = f"After push {found.pushes}: {_DID[found.action]}"
@@ -356,7 +358,7 @@ class BeliefVisualizer(PythonSystem):
             self._show("notice", name, time)
 
     def _add_belief(self, belief: Belief) -> None:
-        """Make all objects of a belief, invisible."""
+        """Add all objects of a belief, still invisible."""
         self._drawn_belief = belief
         self._beliefs += 1
         what = shown(belief, MOST, round_tops=True)
@@ -388,13 +390,13 @@ class BeliefVisualizer(PythonSystem):
             self._hidden(f"residuals/{k}", shape)
 
     def _hidden(self, name: str, mesh: Any) -> None:
-        """An object that is not seen until `_show` says so."""
+        """Add an object that stays invisible until `_show` shows it."""
         self._meshcat.SetObject(f"{self._path}/{name}", mesh)
         self._meshcat.SetProperty(f"{self._path}/{name}", "visible", False, 0.0)
         self._visible = {place: seen for place, seen in self._visible.items() if seen != name}
 
     def _show(self, place: str, name: str, time: float) -> None:
-        """Let an object take the place of the one that was seen there before; an empty name takes none."""
+        """Show an object in place of the one shown there before; an empty name shows none."""
         before = self._visible.get(place, "")
         if before == name:
             return
@@ -404,7 +406,7 @@ class BeliefVisualizer(PythonSystem):
         self._visible[place] = name
 
     def _choose(self, time: float) -> None:
-        """Show what the sliders say."""
+        """Show the map and hypothesis that the sliders select."""
         hypothesis = min(int(self._meshcat.GetSliderValue(HYPOTHESIS)), self._shown_hypotheses)
         name = MAPS[int(self._meshcat.GetSliderValue(MAP))]
         self._show("tiles", f"observed/maps/{self._beliefs}/{name}/{hypothesis}", time)
@@ -412,8 +414,8 @@ class BeliefVisualizer(PythonSystem):
         self._show("centers", f"observed/centers of mass/{self._beliefs}", time)
 
     def _place(self, observed: FloatArray | None, predicted: FloatArray | None, time: float) -> None:
-        """Move the object's parts to where they are seen and predicted; what is not known stays where it was,
-        and a prediction that there is none of is hidden."""
+        """Move the object's parts to the observed and predicted poses; without an observation they stay where
+        they were, and without a prediction its outline is hidden."""
         meshcat = self._meshcat
         if observed is not None:
             self._show("observed", "observed", time)
@@ -445,7 +447,7 @@ class BeliefVisualizer(PythonSystem):
                 self._meshcat.SetProperty(f"{self._path}/{name}", "scale", scale, time)
 
     def _draw_push(self, push: Any, time: float) -> None:
-        """An arrow along the finger's way, a new one for each push."""
+        """Draw an arrow along the finger's path, a new one for each push."""
         if push is not None and (*push.begin, *push.end) != self._drawn_push:
             self._drawn_push = (*push.begin, *push.end)
             self._pushes += 1
@@ -462,7 +464,7 @@ class BeliefVisualizer(PythonSystem):
 
 
 def _same(belief: Belief, other: Belief | None) -> bool:
-    """Whether two beliefs look the same; a Context may hold a copy."""
+    """Whether two beliefs look the same, as a Context may hold a copy."""
     if other is None or belief is other:
         return belief is other
     pairs = ((belief.maps.mass, other.maps.mass), (belief.maps.mu, other.maps.mu))
@@ -470,7 +472,7 @@ def _same(belief: Belief, other: Belief | None) -> bool:
 
 
 def _spread_cells(grid: CellGrid, count: int) -> np.ndarray:
-    """Indices of cells far from one another: each the farthest from those before, from the centre on."""
+    """Indices of cells far apart: the one nearest the centre, then always the farthest from those chosen."""
     chosen = [int(np.argmin(np.linalg.norm(grid.centers - grid.centers.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(grid.centers - grid.centers[chosen[0]], axis=1)
     while len(chosen) < min(count, len(grid)):

@@ -1,7 +1,6 @@
 """`CellGridSlider`: the differentiable model of a sliding object as a Drake system, effects included.
 
-What a tracker reports of a model that is stepped may be late, off or out of scale where an effect says so:
-`pose_then`.
+With some effects, a tracker reports the stepped model's pose late, offset or scaled: see `pose_then`.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
 
 
 def history_length(stepper: Stepper) -> int:
-    """Number of past poses that a report may need: as far back as the latency may reach."""
+    """Number of past poses that a report may need, given the largest possible latency."""
     if stepper.program.delay is None:
         return 0
-    # The delay is the sum of its parameters, so that their largest values give its largest.
+    # The delay is the sum of its parameters, so their largest values give its largest.
     latest, _ = stepper.delay(np.concatenate([[p.high for p in e.parameters] for e in stepper.effects]))
     return int(np.ceil(latest / stepper.h)) + 1
 
 
 def pose_then(stepper: Stepper, pose: Any, history: Any, effects: Any) -> Any:
-    """The pose (3,) that the tracker reports now; floats in, floats out, and so with AutoDiffXd.
+    """The pose (3,) that the tracker reports now, of the same scalar type as `pose` (float or AutoDiffXd).
 
-    Where it reports early, nobody knows yet how the object is driven on: it is taken to keep its velocity.
+    A negative delay extrapolates at constant velocity, because the later drive is not yet known.
 
     Args:
         stepper: the model.
@@ -64,7 +63,7 @@ def pose_then(stepper: Stepper, pose: Any, history: Any, effects: Any) -> Any:
 
 
 def _reported(report: Report | None, true: Any, effects: Any) -> Any:
-    """What a sensor reports (n,) of true numbers (n,), with derivatives where they have some."""
+    """A sensor's report (n,) of true values (n,), with derivatives if those have them."""
     if report is None:
         return true
     reported, by_true, by_effects = report(*values_of(true), values_of(effects))
@@ -74,14 +73,14 @@ def _reported(report: Report | None, true: Any, effects: Any) -> Any:
 
 
 def values_of(numbers: Any) -> FloatArray:
-    """Values (N,) of numbers (N,) that may have derivatives."""
+    """Values (N,) of numbers (N,) that may carry derivatives."""
     if numbers.dtype == object:
         return ExtractValue(numbers)[:, 0]
     return numbers
 
 
 def with_gradient(values: FloatArray, jacobian: FloatArray, arguments: Any) -> Any:
-    """AutoDiffXd (M,) of values whose derivatives by the arguments (N,) are `jacobian` (M, N)."""
+    """AutoDiffXd (M,) of values with derivatives with respect to the arguments (N,) of `jacobian` (M, N)."""
     value: Any = values
     return InitializeAutoDiff(value, jacobian @ ExtractGradient(arguments))[:, 0]
 
@@ -91,34 +90,35 @@ def CellGridSlider_(T: type) -> type:
     """`CellGridSlider` for the scalar T, `float` or `AutoDiffXd`."""
 
     class Impl(HoldsOutputFunctions, LeafSystem_[T], metaclass=WithoutOwnDict):
-        """The cell-grid model of one object, in steps of h; it is pushed by a finger, by a wrench, or both.
+        """The cell-grid model of one object, in steps of h, pushed by a finger, a wrench, or both.
 
         Inputs, both optional:
             wrench: (5,) force on the object (world, N), the point at which it acts (object frame, m) and a
-                torque (N m), constant over a step: the convention of `Push.wrench`.
-            finger: (4,) centre of the finger (world, m) and its velocity (m/s), which it keeps over the
-                step; NaN where there is no finger.
+                torque (N m), constant over a step, as in `Push.wrench`.
+            finger: (4,) centre of the finger (world, m) and its velocity (m/s), constant over the step;
+                NaN where there is no finger.
 
         Outputs:
-            object_pose: (3,) x, y, θ in the world as a tracker reports it; without effects that stand
-                between (latency, offset, scale) that is the true one.
+            object_pose: (3,) x, y, θ in the world as a tracker reports it: the true pose, unless effects
+                change the report (latency, offset, scale).
             object_twist: (3,) v_x, v_y (m/s), omega (rad/s) in the object frame, at its origin.
             cell_positions: (2 n,) x_1, y_1, x_2, … of the cells' centres in the world at `object_pose`, m.
             finger_force: (2,) mean force of the finger on the object in the last step, world, N, as a force
-                sensor reports it; a sensor that is late reports in time here.
+                sensor reports it; a latency of that sensor is ignored here.
 
-        The state is one discrete vector: true pose (3), twist (3), the finger's last force (2), what the
-        effects remember, and where the tracker may be late, the last true poses.
+        The state is one discrete vector: true pose (3), twist (3), the finger's last force (2), the effects'
+        memory, and, if the tracker may be late, the last true poses.
 
         The numeric parameters in the Context are the mass map (n,) kg, the friction map (n,), the friction
-        with the finger (1,), the effects' parameters (P,), and for effects that depend on them the time at
-        which the push began (s) and its place in the experiment (2,).
+        with the finger (1,), the effects' parameters (P,), and, for effects that need them, the start time
+        of the push (s) and its place in the experiment (2,).
 
-        With AutoDiffXd a step has the exact derivatives of the kernel by state, inputs and parameters.
+        With AutoDiffXd, a step has the kernel's exact derivatives with respect to state, inputs and
+        parameters.
 
         Args:
             grid: cells and outline.
-            maps: one model; default of the parameters. Without effects' parameters, effects vanish.
+            maps: one model, the default of the parameters. Without effects' parameters, effects vanish.
             finger_radius: m.
             h: step, s.
             effects: of the model, in the order of the columns of `Maps.effects`.
@@ -183,7 +183,7 @@ def CellGridSlider_(T: type) -> type:
             Impl._construct(self, grid, maps, radius, h, effects, gravity, smoothing, table, converter)
 
         def set_maps(self, context: Any, maps: Maps) -> None:
-            """Give the Context other maps, and effects' parameters, of one model.
+            """Set the maps and effects' parameters of one model in a Context.
 
             Raises:
                 ValueError: maps of another grid, of other effects, or of more than one model.
@@ -194,14 +194,14 @@ def CellGridSlider_(T: type) -> type:
                 context.get_mutable_numeric_parameter(index).SetFromVector(values)
 
         def set_motion(self, context: Any, pose: FloatArray, twist: FloatArray | None = None) -> None:
-            """Place the object where a tracker reports `pose` (3,), at rest or with a twist (3,), untouched
-            and with nothing remembered."""
+            """Place the object where a tracker reports `pose` (3,), at rest or with a twist (3,), without
+            contact and with the effects' memory cleared."""
             models = self._models(context)
             start = self.stepper.start(models, pose, None if twist is None else np.asarray(twist)[None])[0]
             context.SetDiscreteState(np.concatenate([start, np.tile(start[:3], self._history)]))
 
         def set_push(self, context: Any, begin: float, order: float = 0.0) -> None:
-            """Say when the push began (s) and which of the experiment it is, from 0."""
+            """Set the start time of the push (s) and its number in the experiment, from 0."""
             context.get_mutable_numeric_parameter(PUSH).SetFromVector([begin, order])
 
         def _prepare(self, context: Any, value: Any) -> None:
@@ -285,10 +285,10 @@ def slider_of_hypothesis(belief: Belief, hypothesis: int, h: float) -> Any:
 
 
 def _rows(maps: Maps) -> tuple[FloatArray, ...]:
-    """The numeric parameters of one model, those of the push left out."""
+    """The numeric parameters of one model, without those of the push."""
     return maps.mass[0], maps.mu[0], maps.mu_finger, maps.effects[0]
 
 
 def _parameters(context: Any) -> list[Any]:
-    """Values of all numeric parameters, of the Context's scalar."""
+    """Values of all numeric parameters, in the Context's scalar type."""
     return [context.get_numeric_parameter(i).CopyToVector() for i in range(PUSH + 1)]

@@ -1,4 +1,4 @@
-"""Diagnosis as a block: where pushes surprise, it finds out what the model misses, and tries it."""
+"""Diagnosis as a block: when pushes surprise, it finds the effect that the model is missing and tries it."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ from slipmap.planners.telling_push import Question, robots_question
 PERIOD = 0.05
 
 TELLS = 1e-3
-"""m by which errors with and without an effect must differ for a push to speak for either: camera and finger
-are off by a third of that."""
+"""m by which errors with and without an effect must differ for a push to favour either: camera and finger are
+off by a third of that."""
 
 FAILED, TRIED = "failed", "tried"
-"""Verdicts beside those of a diagnosis: it could not be made; effects were held against the next pushes."""
+"""Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of one diagnosis or trial of effects, and what the robot did about it."""
+    """The result of one diagnosis or one test of effects, and what the robot did about it."""
 
-    pushes: int  # that were looked at
+    pushes: int  # pushes examined
     verdict: str  # see `slipmap.models.inference.diagnosis.results.VERDICTS`; or `FAILED`, `TRIED`
-    sentence: str  # that says so
-    effects: tuple[str, ...]  # that the model has from then on
+    sentence: str  # the verdict in words
+    effects: tuple[str, ...]  # of the model from then on
     action: str  # `adopts`, `keeps`, `drops`, `pushes on`, `goes on without`
-    telling: str = ""  # what the next pushes are chosen to tell apart; empty where nothing is
+    telling: str = ""  # what the next pushes are chosen to tell apart; empty if nothing
 
 
 @dataclass(frozen=True)
 class Repair:
-    """Which effects the model is given, and how that came about."""
+    """The effects that the model is given, and the findings behind them."""
 
-    trials: int = 0  # recorded pushes up to which the question is settled
-    effects: tuple[str, ...] = ()  # that the model is to have
-    wanted: int = 0  # pushes to learn from that it asks for, altogether
+    trials: int = 0  # recorded pushes that have been dealt with
+    effects: tuple[str, ...] = ()  # that the model should have
+    wanted: int = 0  # total pushes to learn from that it asks for
     findings: tuple[Finding, ...] = ()
     question: Question | None = None  # what the next push is to tell apart
 
     @property
     def tried(self) -> Finding | None:
-        """The adoption of effects that no later finding has confirmed or taken back."""
+        """The adoption of effects that no later finding has confirmed or reversed."""
         last = self.findings[-1] if self.findings else None
         return last if last is not None and last.action == "adopts" else None
 
@@ -64,15 +64,15 @@ class Repair:
         return {"effects": list(self.effects), "findings": [asdict(finding) for finding in self.findings]}
 
     def to_run(self) -> dict[str, Any]:
-        """As plain data, for another process to go on from; the question is left out."""
+        """As plain data from which another process can continue; the question is left out."""
         return {"trials": self.trials, "wanted": self.wanted, **self.to_json()}
 
     @classmethod
     def of_run(cls, stored: dict[str, Any]) -> Repair:
-        """What `to_run` stored. Where the last push left a question, it is diagnosed once more, to ask it.
+        """Restore what `to_run` stored. If the last push left a question, it is diagnosed again to ask it.
 
         Raises:
-            KeyError, TypeError: data of something else.
+            KeyError, TypeError: the data is not a stored `Repair`.
         """
         findings = tuple(Finding(**{**one, "effects": tuple(one["effects"])}) for one in stored["findings"])
         trials, effects = int(stored["trials"]), tuple(stored["effects"])
@@ -84,7 +84,7 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What a diagnosis came to, small enough to be handed from process to process."""
+    """The result of a diagnosis, small enough to pass between processes."""
 
     verdict: str
     sentence: str
@@ -93,7 +93,7 @@ class _Answer:
 
 
 class Diagnosis(PythonSystem):
-    """Looks into alarms of the monitor, and repairs the model.
+    """Investigates the monitor's alarms and repairs the model.
 
     Inputs:
     - `trials`: tuple of recorded `Trial`s, the oldest first; `cell_grid`: `CellGrid` of the object.
@@ -101,27 +101,27 @@ class Diagnosis(PythonSystem):
     Outputs:
     - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
 
-    While pushes end as predicted, all stays as it is. Where the monitor gives an alarm, or is in doubt, all
-    pushes are diagnosed; so they are where none of them surprises, but all together do. One effect, or two
-    that are needed together, are adopted; of effects that these pushes cannot tell apart, the simplest. Where
-    the answer is `undecided` another push is asked for, and which models it is to tell apart
-    (`Repair.question`). Where the effect is unknown, and where nothing is missing after all, the robot goes
-    on without: what surprised it widens its intervals as it learns.
+    While pushes end as predicted, nothing changes. When the monitor raises an alarm or is in doubt, all
+    pushes are diagnosed; likewise when no single push is surprising but all of them together are. One effect
+    is adopted, or two that are needed together; among effects that the pushes cannot tell apart, the
+    simplest. If the verdict is `undecided`, the block asks for another push and states which models it should
+    tell apart (`Repair.question`). If the effect is unknown, or nothing is missing after all, the robot
+    continues without one; the surprising pushes widen its intervals as it learns.
 
-    Adopted effects are tried by the next pushes: where these end no nearer to their predictions than a model
-    without the effects, learnt from the pushes before, would have had them, the effects are dropped. Where
-    they surprise, all pushes are diagnosed again, and an effect that is not named any more is dropped,
-    unless it was tried and kept, and the answer is open or unknown. What a diagnosis raises is told as
-    its finding, and the robot goes on with the model that it has.
+    Adopted effects are tested on the next pushes. If the predictions are no better than those of a model
+    without the effects, learned from the earlier pushes, the effects are dropped. If these pushes surprise,
+    all pushes are diagnosed again, and an effect that is no longer named is dropped, unless it passed its
+    test and the new verdict is undecided or unknown. An exception raised by a diagnosis becomes its finding,
+    and the robot continues with its present model.
 
     Args:
-        make_dataset: makes trials and grid a dataset with all that is known of the place.
-        settings: how many pushes it may ask for, and when it asks.
-        pushes: of exploring, to which these come.
-        effects: that the model has from the start, and keeps whatever is found.
+        make_dataset: combines trials and grid into a dataset with everything known about the setup.
+        settings: how many pushes it may ask for, and when.
+        pushes: number of exploration pushes, to which these are added.
+        effects: that the model has from the start and always keeps.
         seed: of every draw.
-        before: what an earlier process found; its pushes that are settled are not looked into by themselves.
-        worker: who computes; this process if None, and then the simulation waits.
+        before: an earlier process's result; pushes already dealt with do not start a diagnosis.
+        worker: runs the computation; if None, this process does, and the simulation waits.
 
     Example:
         >>> import slipmap
@@ -184,7 +184,7 @@ class Diagnosis(PythonSystem):
         return self._tried(repair, count, self._errors(repair, self.input(context, "watch")), answer), None
 
     def _doubtful(self, repair: Repair, count: int, watch: Watch) -> bool:
-        """Whether the pushes are to be diagnosed: by the last one, or by all of them together."""
+        """Whether to diagnose the pushes, because of the last one or of all of them together."""
         if watch.alarm or watch.evidence >= self._settings.doubt:
             return True
         last = repair.findings[-1] if repair.findings else None
@@ -192,7 +192,7 @@ class Diagnosis(PythonSystem):
         return count >= self._settings.fewest and rested and watch.joint_p <= self._settings.together
 
     def _concluded(self, repair: Repair, count: int, found: _Answer) -> Repair:
-        """The repair after a diagnosis of so many pushes."""
+        """The repair after a diagnosis of `count` pushes."""
         named: tuple[str, ...] = ()
         if found.verdict in ("effect", "ambiguous"):
             simplest = min(found.rivals, key=lambda rival: sum(size for _, size in rival))
@@ -201,7 +201,7 @@ class Diagnosis(PythonSystem):
         if found.verdict == FAILED:
             effects, question = repair.effects, None
         elif found.verdict in ("unknown", "undecided") and self._confirmed(repair):
-            # Something else is wrong as well, and pushes have shown what the effects are good for.
+            # Something else is wrong as well, but pushes have shown that these effects help.
             effects = repair.effects
         if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
@@ -221,7 +221,13 @@ class Diagnosis(PythonSystem):
         return self._pushing_on(after) if found.verdict == "undecided" else after
 
     def _tried(self, repair: Repair, count: int, errors: dict[int, float], without: list[float]) -> Repair:
-        """The repair after effects were tried by pushes: errors with them by push, and without, m."""
+        """The repair after effects were tested on pushes.
+
+        Args:
+            count: pushes recorded so far.
+            errors: with the effects, by number of the push, m.
+            without: of a model without them, for each push since they were adopted, m.
+        """
         assert repair.tried is not None
         begun_at, names = repair.tried.pushes, " and ".join(repair.effects)
         pairs = [(errors[k], without[k - begun_at]) for k in errors if k - begun_at < len(without)]
@@ -231,25 +237,25 @@ class Diagnosis(PythonSystem):
         said = f"With {names}, {pushes} ended {own:.1f} mm off on average; without, {other:.1f} mm."
         effects, action = repair.effects, "keeps"
         if not telling:
-            said += " They do not tell."
+            said += " That decides nothing."
         elif own >= other:
             effects, action = self._without(repair), "drops"
         finding = Finding(count, TRIED, said, effects, action)
         return Repair(count, effects, repair.wanted, (*repair.findings, finding))
 
     def _confirmed(self, repair: Repair) -> bool:
-        """Whether the present effects were tried by pushes, and kept."""
+        """Whether the present effects were tested on pushes and kept."""
         return any(
             one.verdict == TRIED and one.action == "keeps" and one.effects == repair.effects
             for one in repair.findings
         )
 
     def _without(self, repair: Repair) -> tuple[str, ...]:
-        """The effects that the model had before those that are tried."""
+        """The model's effects before it adopted those on trial."""
         return repair.findings[-2].effects if len(repair.findings) > 1 else self._given
 
     def _errors(self, repair: Repair, watch: Watch) -> dict[int, float]:
-        """By number of the push, errors of those that were predicted with the effects that are tried, m."""
+        """Errors of the pushes predicted with the effects on trial, by number of the push, m."""
         assert repair.tried is not None
         return {
             push.trial: push.error
@@ -265,7 +271,7 @@ MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 
 def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed: int) -> _Answer:
-    """The diagnosis of pushes; done in a worker."""
+    """Diagnose pushes; runs in a worker."""
     dataset = make(trials, grid)
     found = procedure.diagnose(dataset, seed=seed)
     rivals = tuple(
@@ -282,6 +288,6 @@ def _errors_without(
     effects: tuple[str, ...],
     seed: int,
 ) -> list[float]:
-    """Errors (ADD) of the pushes after the first `count` by what these teach a model with some effects, m."""
+    """ADD errors, m, of the pushes after the first `count`, predicted by a model learned from those."""
     belief = learning(effects)(make(trials[:count], grid), seed=seed).belief
     return [push.final_add for push in predict(belief, make(trials[count:], grid))]

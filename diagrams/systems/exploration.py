@@ -1,4 +1,4 @@
-"""Algorithm 2 as a block: chooses the next push."""
+"""Algorithm 2 as a block that chooses the next push."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -26,24 +26,24 @@ class Exploration(PythonSystem):
 
     Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
-    - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made, and in `telling apart` one
-      that best answers the question of `repair`, the `Repair` of a `Diagnosis`.
+    - `status`: `LoopStatus`; the mode `choosing` requests a plan with the status's number, `telling apart`
+      one that best answers the question of `repair`, the `Repair` from a `Diagnosis`.
     Outputs:
-    - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
+    - `plan`: `ExplorationPlan | None`; it stays until the loop asks for another.
 
-    The draws of a push depend on the seed and the push's number alone.
+    The random draws for a push depend only on the seed and the push's number.
 
     Args:
         strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes after the first `fit`, made to judge
-            the belief, are random, and none of them is a tap.
-        fit: pushes of the strategy.
+            the belief, are random and never taps.
+        fit: number of pushes chosen by the strategy.
         finger_radius: m.
-        settings: what pushes to learn from are like.
-        allowed: whether the arm can make a push of an object that lies somewhere.
+        settings: constraints on the pushes to learn from.
+        allowed: whether the arm can make a push, given the object's cells, heights and pose.
         seed: of every draw.
-        worker: who computes; this process if None, and then the simulation waits. It must be able to take
-            `allowed` along.
-        past: pushes that were made before.
+        worker: runs the computation; if None, this process does, and the simulation waits. It must be able to
+            pickle `allowed`.
+        past: pushes made earlier.
 
     Example:
         >>> import slipmap
@@ -123,7 +123,7 @@ class Exploration(PythonSystem):
 
 
 def _selected(*args: Any, **kwargs: Any) -> tuple[Choice | None, str]:
-    """As `choose_push`, or why there is none."""
+    """The choice of `choose_push`, or the reason why there is none."""
     try:
         return choose_push(*args, **kwargs), ""
     except NoReachablePush as error:

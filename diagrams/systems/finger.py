@@ -1,4 +1,4 @@
-"""The finger as blocks see it: measured, driven along pushes that are asked for, or felt through the arm."""
+"""Blocks for the finger: measured motion, motion along given pushes, and pose and force from the arm."""
 
 from collections.abc import Sequence
 
@@ -20,11 +20,11 @@ class FingerMotion(PythonSystem):
     Inputs:
     - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
     Outputs:
-    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above
-      the table it may pass over the object.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger is pushing, because a
+      raised finger may pass over the object.
 
     Args:
-        period: s over which the velocity is taken; the step of the model that it drives.
+        period: s over which the velocity is computed; the step of the model that it drives.
 
     Example:
         >>> import slipmap
@@ -55,18 +55,18 @@ class FingerMotion(PythonSystem):
 
 
 class FingerPath(PythonSystem):
-    """A finger without an arm: makes pushes one after the other, and is nowhere between them.
+    """A finger without an arm: makes pushes one after another, and is absent between them.
 
     Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world, as `CellGridSlider` takes it; NaN between
       pushes.
-    - `push`: `TablePush | None`, the one that is made now, as `BeliefVisualizer` draws it.
+    - `push`: `TablePush | None`, the push under way, as `BeliefVisualizer` draws it.
 
     Args:
-        pushes: in the world, in the order in which they are made.
+        pushes: in the world, in order.
         h: step of the model that it drives, s; the velocity is constant over it.
         pause: between two pushes and before the first, s.
-        rest: for which the finger is down and at rest before and after it moves, s.
+        rest: time for which the finger is down and at rest before and after it moves, s.
 
     Example:
         >>> import slipmap
@@ -83,7 +83,7 @@ class FingerPath(PythonSystem):
         begins = steps + np.cumsum([0, *(len(path) + steps for path in paths)])[:-1]
         self._made = list(zip(begins, pushes, paths, strict=True))
         self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0
-        """Time at which the last push is over, with a pause after it, s."""
+        """Time at which the last push and the pause after it are over, s."""
         time = {self.time_ticket()}
         self.declare_vector_output("finger", 4, lambda context: self._now(context)[1], time)
         self.declare_output("push", lambda context: self._now(context)[0], time)
@@ -99,15 +99,15 @@ class FingerPath(PythonSystem):
 
 
 class FingerSense(PythonSystem):
-    """The finger's pose and force from joint angles and torques.
+    """Computes the finger's pose and force from joint angles and torques.
 
     Inputs:
-    - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of contact on the arm.
+    - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, from contact with the arm.
     Outputs:
     - `tip_pose`: X_WT; `tip_force` (3,) N, of the finger on the object, in the world.
 
     Args:
-        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
+        model: the arm, as built by `slipmap.diagrams.station.arm.arm_model`.
     """
 
     def __init__(self, model: MultibodyPlant) -> None:

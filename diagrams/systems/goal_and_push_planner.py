@@ -1,4 +1,4 @@
-"""Algorithms 3 and 4 as a block: from the belief to goals at the table's edge, pushes, and the grasp."""
+"""Algorithms 3 and 4 as a block: plans goals at the table's edge, pushes and the grasp from the belief."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
 
-_GRASPS = 12  # at one pose that the arm is asked about, the best; others lie beside them
-_SAME_PLACE = 0.01  # m; a grasp from the same side whose end is nearer than this counts as the refused one
+_GRASPS = 12  # best grasps at a pose that are checked with the arm; others lie beside them
+_SAME_PLACE = 0.01  # m; a grasp from the same side with its end nearer than this counts as the refused one
 
 CanPush = Callable[[Obstacle, TablePush], bool]
 CanGrasp = Callable[[ActiveGrasp], bool]
@@ -41,19 +41,19 @@ CanSee = Callable[[SeenObject, FloatArray], bool]
 
 @dataclass(frozen=True, eq=False)
 class _Planning:
-    """What was planned so far."""
+    """The state of planning."""
 
     known: Belief  # the belief that the method plans with
     thing: Graspable  # the object with its grasps
-    goals: tuple[Goal, ...]  # that will do
-    effects: tuple[str, ...] = ()  # that the model has
-    pursuit: Pursuit = field(default_factory=Pursuit)  # what came of pushing
+    goals: tuple[Goal, ...]  # acceptable goals
+    effects: tuple[str, ...] = ()  # of the model
+    pursuit: Pursuit = field(default_factory=Pursuit)  # results of the pushes so far
     last: Decision | None = None  # the decision behind the plan
-    plan: PregraspPlan | None = None  # what is to be done
+    plan: PregraspPlan | None = None  # the present plan
     refused: tuple[Grasp, ...] = ()  # grasps that the arm refused
 
     def continued(self, status: LoopStatus) -> _Planning:
-        """With what came of the last plan, as the loop now asks for another."""
+        """The state updated with the result of the last plan, when the loop asks for another."""
         if self.last is None or self.plan is None or self.last.way is None:
             return self
         if self.plan.push is not None:
@@ -68,7 +68,7 @@ class _Planning:
 
 @dataclass(frozen=True, eq=False)
 class _Procedure:
-    """How plans are made; the arguments of `GoalAndPushPlanner`."""
+    """The planning procedure, with the arguments of `GoalAndPushPlanner`."""
 
     settings: PregraspSettings
     table: Table
@@ -87,7 +87,7 @@ class _Procedure:
         pose: FloatArray,
         seen: SeenObject,
     ) -> _Planning:
-        """What is planned for a status; the object lies at a pose (3,)."""
+        """Plan for a status, with the object at a pose (3,)."""
         rng = np.random.default_rng([self.seed, status.push, status.attempt])
         if planning is None or planning.effects != _effects_of(belief):
             planning = self._begun(belief, seen, rng)
@@ -111,8 +111,8 @@ class _Procedure:
         goals = self.settings.goals
         if not now.goals:
             reason = (
-                f"of {goals.samples} poses at the edge, in none the object stays with a probability of"
-                f" {1 - goals.epsilon:.0%}, is seen by the camera, and can be grasped by the arm"
+                f"at none of {goals.samples} poses at the edge does the object stay with a probability of"
+                f" {1 - goals.epsilon:.0%}, in view of the camera and where the arm can grasp it"
             )
             return replace(now, plan=PregraspPlan(number, reason=reason))
         obstacle = Obstacle(seen.grid, seen.cell_heights, pose)
@@ -137,7 +137,7 @@ class _Procedure:
         return replace(now, last=decision, plan=plan)
 
     def _grasp_at(self, now: _Planning, pose: FloatArray, number: int, seen: SeenObject) -> list[ActiveGrasp]:
-        """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
+        """The best grasp at a pose that the arm can make and has not refused; a list of one or none."""
         for grasp in now.thing.grasps_at(pose, self.table)[:_GRASPS]:
             active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
             if not any(_same_place(grasp, other) for other in now.refused) and self.can_grasp(active):
@@ -148,8 +148,8 @@ class _Procedure:
         """Probability of success and margin of a plan, see `PregraspPlan`.
 
         Args:
-            poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
-            goal: near which it shall lie; anywhere if None.
+            poses: (K, 3) of the object under each simulated hypothesis, or (1, 3) for all of them.
+            goal: near which it must lie; anywhere if None.
         """
         imagined = now.known.probability > NEGLIGIBLE
         p = now.known.probability[imagined] / now.known.probability[imagined].sum()
@@ -168,23 +168,23 @@ class GoalAndPushPlanner(PythonSystem):
 
     Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
-    - `status`: `LoopStatus`; in the mode `planning` a plan of its number is made.
+    - `status`: `LoopStatus`; the mode `planning` requests a plan with the status's number.
     Outputs:
-    - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
+    - `plan`: `PregraspPlan | None`; it stays until the loop asks for another.
 
-    Goals are sampled at the first plan, and anew where the belief comes to have other effects. Without a
-    worker the simulation waits while the block computes. The draws of a plan depend on the seed and its
-    number alone.
+    Goals are sampled for the first plan, and again when the effects of the belief change. Without a worker,
+    the simulation waits while the block computes. The random draws for a plan depend only on the seed and its
+    number.
 
     Args:
         method: one of `slipmap.planners.settings.METHODS`.
-        can_push: whether the arm can make a push of an object that lies somewhere.
-        can_grasp: whether it can come in and lift.
-        can_see: whether the camera sees the object at a pose (3,), which a goal needs: the push that leads
-            there may not be the last.
+        can_push: whether the arm can make a push, given the object's cells, heights and pose.
+        can_grasp: whether it can approach for a grasp and lift.
+        can_see: whether the camera sees the object at a pose (3,); goals need that, because the push that
+            leads there may not be the last.
         seed: of every draw.
-        truth: the true maps over the cells seen, which only the method `true` asks for.
-        worker: who computes; this process if None. It must be able to take the functions along.
+        truth: the true maps over the cells seen; only the method `true` uses it.
+        worker: runs the computation; this process if None. It must be able to pickle the functions.
 
     Example:
         >>> import slipmap
@@ -244,5 +244,5 @@ def _effects_of(belief: Belief) -> tuple[str, ...]:
 
 
 def _same_place(one: Grasp, other: Grasp) -> bool:
-    """Whether two grasps are at the same place from the same side."""
+    """Whether two grasps are at about the same place, from the same side."""
     return bool(np.hypot(*(one.tip - other.tip)) < _SAME_PLACE and one.approach == other.approach)

@@ -1,4 +1,4 @@
-"""Learning as a block: recorded pushes in, belief out."""
+"""Identification as a block: recorded pushes in, belief out."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -24,36 +24,36 @@ _NO_NOISE = Noise()
 
 
 class Identification(PythonSystem):
-    """Learns maps anew after each push that is to be learned from.
+    """Relearns the maps after each push to learn from.
 
     Inputs:
-    - `trials`: abstract, tuple of `Trial`: recorded pushes, the oldest first, as of a `TrialLogger` or a
-      `MeasurementLogger`. Those with the role `fit` are learned from.
-    - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; the argument
-      `grid` if not connected.
-    - `effects`: abstract, tuple of names of effects of the library that the model is given now; the argument
-      if not connected. Where they change, all is learnt anew.
+    - `trials`: abstract, tuple of `Trial`: recorded pushes, oldest first, for example from a `TrialLogger` or
+      a `MeasurementLogger`. Those with the role `fit` are learned from.
+    - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; if not connected,
+      the argument `grid`.
+    - `effects`: abstract, tuple of the names of library effects that the model has now; if not connected, the
+      argument. When they change, everything is learned again.
     Outputs:
     - `belief`: abstract, `Belief`, or None before the first push.
-    - `learned`: abstract, int: number of pushes that it comes from; 0 where its effects are not those wanted.
+    - `learned`: abstract, int: number of pushes that it was learned from; 0 while its effects are outdated.
 
-    Without a worker the simulation waits while it computes, and to the clock of the diagram it takes no time.
-    With one, the diagram goes on, and the same belief comes later.
+    Without a worker, the simulation waits for the computation, which takes no time on the diagram's clock.
+    With one, the diagram keeps running and the same belief arrives later.
 
     Args:
-        make_dataset: makes trials and grid a dataset with all that is known of the place. If None, that is
-            what the next five arguments say.
-        grid: the object, where `cell_grid` is not connected.
-        finger_radius: m; that of the robot's own finger by default.
-        table: the table's top; unknown if None.
+        make_dataset: combines trials and grid into a dataset with everything known about the setup. If None,
+            the next five arguments describe the setup.
+        grid: the object, if `cell_grid` is not connected.
+        finger_radius: m; by default that of the robot's own finger.
+        table: the table top; unknown if None.
         gravity: m/s².
-        noise: of the sensors; estimated from the rows where it is not given.
+        noise: of the sensors; estimated from the rows if not given.
         method: of `identify`.
-        effects: of the library, which the model is given; then `method` must be the default.
+        effects: of the library, given to the model; they require the default `method`.
         hypotheses: K.
         seed: of every draw.
-        learned: called with every belief as it forms and its number of pushes, for progress.
-        worker: who computes; this process if None.
+        learned: called with each new belief and its number of pushes, for progress.
+        worker: runs the computation; this process if None.
 
     Raises:
         EffectError: an unknown effect.
@@ -137,7 +137,7 @@ class Identification(PythonSystem):
 
 
 def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Callable[..., Learned]:
-    """`identify`, with effects of the library if any; arguments beside these are still to be given.
+    """`identify` with effects of the library and a method; the other arguments remain to be given.
 
     Raises:
         EffectError: an unknown effect.

@@ -1,4 +1,4 @@
-"""One look for pictures and for what Meshcat shows: colours, sizes of letters, scales of maps."""
+"""Shared style of figures and of the Meshcat board: colours, font sizes, scales of maps."""
 
 import logging
 from collections.abc import Callable
@@ -18,7 +18,7 @@ FINGER = "#d4691e"
 OTHER = "#2f8f6b"
 
 MAP_COLORS = ("viridis", "plasma", "cividis")
-"""Of mass, friction and their product; perceptually uniform, a different one for each map."""
+"""Colormaps of mass, friction and their product; perceptually uniform, a different one for each map."""
 
 SCALED_SHARE = 0.97
 SCALED_RATIO = 1.5
@@ -46,23 +46,23 @@ STYLE = {
     "savefig.facecolor": "white",
     "svg.fonttype": "none",
     "svg.hashsalt": "slipmap",
-    # A dollar sign in the name of a dataset, trial or effect is no formula.
+    # A dollar sign in the name of a dataset, trial or effect does not start a formula.
     "text.parse_math": False,
 }
 
 
 def top_of_scale(values: FloatArray) -> float:
-    """End of the colour scale that maps (columns, n) share; what lies beyond it has the last colour.
+    """Upper end of the colour scale shared by maps (columns, n); larger values get the last colour.
 
-    Beyond lie three percent of all values, and what is half as large again as in most of the maps: neither
-    a single cell nor a single odd map should leave all others pale.
+    It lies at the 97 % quantile of all values, and at most at 1.5 times the median of the maps' own
+    quantiles: neither a single cell nor a single odd map should make all others pale.
     """
     each = np.quantile(values, SCALED_SHARE, axis=1, method="lower")
     return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
 
 
 def beyond(values: FloatArray, top: float) -> str:
-    """Whether a scale that ends at `top` needs an arrow for values beyond, as `Figure.colorbar` takes it."""
+    """Whether a scale ending at `top` needs an arrow, as the `extend` argument of `Figure.colorbar`."""
     return "max" if float(values.max()) > 1.02 * top else "neither"
 
 
@@ -71,11 +71,11 @@ Drawn = TypeVar("Drawn")
 
 
 def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
-    """Decorator: draw in the project's style, whatever the caller's own settings are."""
+    """Decorator: draw in the project's style, regardless of the caller's own settings."""
 
     @wraps(draw)
     def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
-        # A letter without the wanted weight is drawn in the nearest one; to say so helps nobody.
+        # A missing font weight is replaced by the nearest one; a warning about that helps nobody.
         logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
         with matplotlib.rc_context(STYLE):
             return draw(*args, **kwargs)

@@ -1,4 +1,4 @@
-"""What the blocks of the robot's loops tell one another. None of these values ever changes."""
+"""Messages between the blocks of the robot's loops, all of them immutable."""
 
 from dataclasses import dataclass
 
@@ -10,21 +10,21 @@ from slipmap.planners.robust_push import PlannedPush
 
 @dataclass(frozen=True)
 class LoopStatus:
-    """Where the loop is."""
+    """The loop's present step."""
 
     mode: str  # one of `MODES`
-    push: int  # number of the push that is made or comes next, from 0
-    attempt: int = 0  # number of the candidate for it, from 0; the arm refused those before
-    reason: str = ""  # why the loop failed, or why the arm refused the candidate before; else empty
+    push: int  # number of the current or next push, from 0
+    attempt: int = 0  # number of the candidate for it, from 0; earlier ones were refused or touched nothing
+    reason: str = ""  # why the loop failed, or why the arm refused the previous candidate; else empty
 
     @property
     def number(self) -> int:
-        """Number of the candidate over all pushes, which the executor knows it by."""
+        """Number of the candidate over all pushes, by which the executor identifies it."""
         return MOST_ATTEMPTS * self.push + self.attempt
 
 
 MOST_ATTEMPTS = 20
-"""Candidates that the arm may refuse for one push before the loop gives up."""
+"""Candidates for one push before the loop gives up."""
 
 EXPLORING = (
     "looking",
@@ -37,8 +37,8 @@ EXPLORING = (
     "finished",
     "failed",
 )
-"""Modes of exploring. Where the model is repaired on the way, there is `diagnosing`, and `telling apart`
-instead of `choosing` where the next push is to tell the models apart that a diagnosis left."""
+"""Modes of exploration. If the model is repaired on the way, `diagnosing` is one of them, and `telling apart`
+replaces `choosing` when the next push should discriminate between the models that a diagnosis left."""
 
 CHOOSING = ("choosing", "telling apart")
 """Modes in which a push is chosen."""
@@ -54,33 +54,33 @@ BRINGING = (
     "held",
     "failed",
 )
-"""Modes of bringing the object to the table's edge and taking it, after those of exploring."""
+"""Modes of pushing the object to the table's edge and grasping it, after those of exploration."""
 
 MODES = tuple(dict.fromkeys((*EXPLORING, *BRINGING)))
 
 
 @dataclass(frozen=True, eq=False)
 class ExplorationPlan:
-    """A push that is asked for."""
+    """The push to make next."""
 
     number: int  # the candidate's, see `LoopStatus.number`
-    choice: Choice | None  # what to do; None where nothing can be done
+    choice: Choice | None  # None if no push is possible
     reason: str = ""  # why there is none, else empty
 
 
 @dataclass(frozen=True, eq=False)
 class PregraspPlan:
-    """What is to be done next to take the object: a push towards the edge, or the grasp."""
+    """The next action towards taking the object: a push towards the edge, or the grasp."""
 
     number: int  # the candidate's, see `LoopStatus.number`
-    goal: Goal | None = None  # pose at the edge that it serves; None where there is none
-    # the push and what is expected of it; None where the object can be grasped, or nothing be done
+    goal: Goal | None = None  # pose at the edge that it serves, if any
+    # the push with its expected result; None if the object can be grasped or nothing can be done
     push: PlannedPush | None = None
-    # the grasp; None where the object is to be pushed, or nothing can be done
+    # the grasp; None if the object must be pushed or nothing can be done
     grasp: ActiveGrasp | None = None
-    # that the object lies at the goal after the push, or stays where it is until the grasp
+    # probability that the object lies at the goal after the push, or stays in place until the grasp
     success_probability: float = 0.0
-    # distance of the centre of mass from the edge of its support after the push, or now, that the object has
-    # with the probability 1 - epsilon of the settings, m; negative where it may fall
+    # distance of the centre of mass from the edge of its support, after the push or now, that the object
+    # keeps with the probability 1 - epsilon of the settings, m; negative if it may fall
     margin: float = 0.0
     reason: str = ""  # why there is neither push nor grasp, else empty

@@ -1,8 +1,8 @@
-"""Writes down what sensors say during pushes: one trial a push, in the format of every command.
+"""Records sensor measurements during pushes: one trial per push, in the format that every command reads.
 
-`MeasurementLogger` is for a robot's cell, where the arm hides the object while it pushes. `TrialLogger` is
-for a diagram of your own, in which pose, finger and force are known all the time. `dataset_of` makes trials
-a dataset.
+`MeasurementLogger` is for a robot cell, where the arm hides the object while it pushes. `TrialLogger` is for
+a diagram of your own in which pose, finger and force are always known. `dataset_of` turns trials into a
+dataset.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ PERIOD = 0.01
 """s between two rows of tip and force."""
 
 LOOKS = 6
-"""Poses at rest whose mean begins a trial, and as many to end it."""
+"""Number of poses at rest that are averaged for the start of a trial, and again for its end."""
 
-_RESTED = 0.15  # s before the arm lifts the finger, from when on the object certainly rests
+_RESTED = 0.15  # s before the arm lifts the finger; from then on the object certainly rests
 
 MISPLACED, TURNED = 4e-3, 0.05
-"""m and rad by which two looks at an object at rest may differ, also one past the arm from one without it."""
+"""m and rad by which two looks at an object at rest may differ, even if the arm hides part of it in one."""
 
-_MOVED = np.array([1e-3, 1e-3, 0.01])  # m, m, rad; less is what another look may show
-_FELT = 0.5  # N; less is what the arm feels without a touch
+_MOVED = np.array([1e-3, 1e-3, 0.01])  # m, m, rad; two looks at an object at rest may differ by less
+_FELT = 0.5  # N; the arm may measure less without contact
 
 Row = tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """What is written down of the push under way, and the trials before it."""
+    """The recording of the push under way, and the trials before it."""
 
-    trials: tuple[Trial, ...] = ()  # that are complete
+    trials: tuple[Trial, ...] = ()  # complete trials
     looks: tuple[Row, ...] = ()  # last poses seen while the arm was at home
     # poses, tips, forces: rows (time, …) of this push; empty before it
     poses: tuple[Row, ...] = ()
@@ -53,7 +53,7 @@ class _Recording:
     missed: tuple[int, ...] = ()  # numbers of candidates that touched nothing
 
     def completed(self, role: Role, poses: Sequence[Row]) -> _Recording:
-        """With one trial more, of the push under way, and these poses."""
+        """The recording with the push under way added as a trial with these poses."""
         start = self.tips[0][0]
 
         def channel(rows: Sequence[Row]) -> Channel:
@@ -66,7 +66,7 @@ class _Recording:
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
     def touched(self, rest: Row) -> bool:
-        """Whether the finger touched the object, which rests now: it moved, or pushed back."""
+        """Whether the finger touched the object: it moved or pushed back, or no forces are known."""
         off = np.abs(np.subtract(rest, self.poses[0]))[1:]
         if (off > _MOVED).any():
             return True
@@ -74,7 +74,7 @@ class _Recording:
 
 
 class MeasurementLogger(PythonSystem):
-    """Records pushes.
+    """Records the pushes of a robot cell.
 
     Inputs:
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
@@ -84,18 +84,18 @@ class MeasurementLogger(PythonSystem):
     Outputs:
     - `trials`: tuple of `Trial`.
     - `missed`: numbers of the candidates that touched nothing; they leave no trial.
-    - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
-      diagram's time; none before and after it.
+    - `under_way`: dict of the rows of the push under way, by channel as in a trial's file, but in the
+      diagram's time; empty before and after it.
 
-    Tip and force are recorded while the finger is down: above, it may pass over the object. An object at rest
-    has one pose, whenever it is looked at: a trial begins, when the finger comes down, with the mean of the
-    last looks before the arm moved, and ends, when the finger has rested, with that of the first looks after
-    the arm went home. Between them are the poses seen in spite of the arm. Where the loop gives a push up,
-    what was written down of it is dropped.
+    Tip and force are recorded only while the finger is down, because a raised finger may pass over the
+    object. An object at rest has the same pose whenever it is seen. So a trial starts, when the finger comes
+    down, with the mean of the last looks before the arm moved; it ends, when the finger has come to rest,
+    with the mean of the first looks after the arm went home. Between them are the poses seen in spite of the
+    arm. If the loop gives up a push, its rows are dropped.
 
     Args:
-        fit: so many trials are to learn from, those after them to judge.
-        trials: that were recorded before.
+        fit: number of trials to learn from; later ones are for judging.
+        trials: recorded earlier.
 
     Example:
         >>> import slipmap
@@ -136,14 +136,14 @@ class MeasurementLogger(PythonSystem):
         return now
 
     def _pushed(self, context: Context, recording: _Recording, row: Row | None) -> _Recording:
-        """The recording with where the finger is, and a pose seen meanwhile, if any."""
+        """The recording with the finger's position, and the new pose if the object was seen."""
         age = self.optional_input(context, "tip_age")
         time = context.get_time() - (0.0 if age is None else float(age[0]))
         tip = self.input(context, "tip_pose").translation()
         force = self.input(context, "tip_force")
         new = recording
         if not new.tips:
-            # The finger is on its way to the object, which still rests.
+            # The finger is still approaching the object, which rests.
             still = (_rest(new.looks, time), _rest(new.looks, time + PERIOD))
             new = replace(new, poses=still, looks=())
         if row is not None and _fresh(row, new.poses):
@@ -157,8 +157,8 @@ class MeasurementLogger(PythonSystem):
         )
 
     def _completed(self, recording: _Recording, number: int) -> _Recording:
-        """The recording with the push under way as a trial, once enough poses were seen after it; a push that
-        touched nothing is no push to learn from."""
+        """The recording with the push under way as a trial, once enough poses have been seen after it; a push
+        that touched nothing leaves no trial."""
         if not recording.tips or len(recording.looks) < LOOKS:
             return recording
         end = recording.tips[-1][0]
@@ -170,23 +170,23 @@ class MeasurementLogger(PythonSystem):
 
 
 class TrialLogger(PythonSystem):
-    """Records pushes where pose, finger and force are known all the time.
+    """Records pushes when pose, finger and force are always known.
 
     Inputs:
-    - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, such as that of `CellGridSlider`; θ
-      goes on beyond ±π.
-    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN where the finger is not down.
+    - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, for example from `CellGridSlider`; θ
+      is continuous beyond ±π.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN while the finger is not down.
     - `finger_force`: (2,) of the finger on the object, world, N; without it, trials have no forces.
     Outputs:
     - `trials`: tuple of `Trial`, as `Identification` takes it.
-    - `observed_pose`: `ObservedPose` of now, as `BeliefVisualizer`, `MultiverseSlider` and `ModelMonitor`
-      take it.
+    - `observed_pose`: the present `ObservedPose`, as `BeliefVisualizer`, `MultiverseSlider` and
+      `ModelMonitor` take it.
 
-    A trial lasts from when the finger comes down, which should be free of an object at rest, until it is
-    lifted, when the object should rest again.
+    A trial lasts from when the finger comes down until it is lifted. The finger should come down clear of the
+    object, and the object should be at rest at both times.
 
     Args:
-        fit: so many trials are to learn from, those after them to judge; all to learn from if None.
+        fit: number of trials to learn from; later ones are for judging. If None, all are to learn from.
         period: s between two rows.
 
     Example:
@@ -234,8 +234,11 @@ def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
 
 
 def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:
-    """Poses seen during a push; those at its begin alone where the last of them is not where the object came
-    to rest, though it rested already: then the arm hid too much of it."""
+    """The poses seen during a push that can be trusted.
+
+    If the last one differs from the pose at rest although the object rested already, the arm hid too much of
+    it, and only the poses at the start are kept.
+    """
     begin, last = poses[:2], np.array(poses[-1])
     off = np.abs(last[1:] - rest[1:])
     at_rest = last[0] > rest[0] - _RESTED
@@ -243,13 +246,13 @@ def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:
 
 
 def _rest(looks: Sequence[Row], time: float) -> Row:
-    """Pose of an object at rest from several looks; their angles are continuous."""
+    """Pose of an object at rest, averaged over several looks with continuous angles."""
     mean = np.mean([row[1:] for row in looks], axis=0)
     return (time, *map(float, mean))
 
 
 def _lies_there(row: Row, looks: Sequence[Row]) -> bool:
-    """Whether the object lies where it did; else something else moved it, and looks before say nothing."""
+    """Whether the object lies where it did; if not, something else moved it and earlier looks are void."""
     off = np.abs(np.subtract(row, _rest(looks, row[0])))[1:] if looks else np.zeros(3)
     return bool((off <= [MISPLACED, MISPLACED, TURNED]).all())
 
@@ -269,11 +272,11 @@ def dataset_of(
     gravity: float = 9.81,
     description: str = "",
 ) -> PushDataset:
-    """Recorded trials as a dataset, like one that was read from a folder.
+    """Recorded trials as a dataset, like one read from a folder.
 
     Args:
         trials: one or more.
-        grid: the object as the camera made it out.
+        grid: the object as seen by the camera.
         finger_radius: m.
         gravity: m/s².
 

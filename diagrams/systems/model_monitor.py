@@ -1,4 +1,4 @@
-"""`ModelMonitor`: is the object still doing what the model says? Residual, misfit, and an alarm."""
+"""`ModelMonitor`: checks whether the object still moves as the model predicts; residual, misfit and alarm."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
 LEVEL = 0.01
-"""At least 1/LEVEL pushes pass on average before a false alarm by evidence; of a right model so few end
-outside the region that gives one at once."""
+"""Rate of false alarms: with a correct model, at least 1/LEVEL pushes pass on average before the evidence
+gives one, and this share of pushes ends outside the region that gives one at once."""
 
 LEAST_P = 0.005
-"""As evidence one push is not believed to be rarer, so that it takes three such pushes."""
+"""Lower bound on a push's p in the evidence, so that an alarm by evidence takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway; regions have what was learnt of that, if it was."""
+"""α, the model's usual error as a share of the path; regions use the learned value if there is one."""
 
 FORCE_ERROR = 0.1
-"""β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
-% off, on a table tilted by 12° 30 to 80 %."""
+"""β, the same for the mean force of a push: in the simulated station it was off by 2 to 5 % without any
+hidden effect, and by 30 to 80 % on a table tilted by 12°."""
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,27 @@ class Judged:
 
     trial: int  # number of the push in the recording, from 0
     misfit: float  # see `slipmap.models.inference.push_misfit`
-    p: float  # probability of a misfit as large if nothing is missing
+    p: float  # probability of a misfit at least as large if no effect is missing
     evidence: float  # E after this push
-    alarm: bool  # whether it is given after this push
-    error: float  # distance of the cells from the middle of the hypotheses (ADD), m
-    allowed: float  # error in this direction up to which the push would not surprise, m
+    alarm: bool  # whether the alarm is on after this push
+    error: float  # distance of the cells from the hypotheses' central pose (ADD), m
+    allowed: float  # largest error in this direction that would not surprise, m
     surprising: bool  # whether it ended outside the 95 % region, see `Prediction.surprising`
-    effects: tuple[str, ...] = ()  # that the model had
-    moved: float = np.nan  # by how much the push moved the cells (ADD), m
+    effects: tuple[str, ...] = ()  # of the model at that time
+    moved: float = np.nan  # how far the push moved the cells (ADD), m
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the monitor has seen."""
+    """The monitor's observations and judgements so far."""
 
-    trials: int  # trials looked at
-    residual: FloatArray  # (3,) when the object was last seen beside the hypotheses
+    trials: int  # trials examined
+    residual: FloatArray  # (3,) when the object was last seen while there were hypotheses
     judged: tuple[Judged, ...] = ()  # pushes that a belief had predicted, in order
 
     @property
     def misfit(self) -> float:
-        """Of the last push that was judged; NaN before."""
+        """Misfit of the last push judged; NaN before any."""
         return self.judged[-1].misfit if self.judged else np.nan
 
     @property
@@ -74,63 +74,63 @@ class Watch:
 
     @property
     def joint_p(self) -> float:
-        """Fisher's p of all pushes together that were judged with the effects of now: how often, if nothing
-        is missing, theirs are as small by chance; 1 before any."""
+        """Fisher's combined p of all pushes judged with the present effects: the probability that their p are
+        as small by chance if no effect is missing; 1 before any push."""
         same = [push for push in self.judged if push.effects == self.judged[-1].effects]
         return float(chdtrc(2 * len(same), -2.0 * sum(np.log(max(push.p, 1e-12)) for push in same)))
 
     @property
     def alarm(self) -> bool:
-        """Whether it is given now."""
+        """Whether the alarm is on."""
         return bool(self.judged) and self.judged[-1].alarm
 
     def to_json(self) -> dict[str, Any]:
-        """The alarm, the evidence, and each push that was judged."""
+        """The alarm, the evidence, and each judged push."""
         pushes = [asdict(push) for push in self.judged]
         return {"alarm": self.alarm, "evidence": self.evidence, "pushes": pushes}
 
     def to_run(self) -> dict[str, Any]:
-        """As plain data, for another process to go on from."""
+        """As plain data from which another process can continue."""
         return {"trials": self.trials, **self.to_json()}
 
     @classmethod
     def of_run(cls, stored: dict[str, Any]) -> Watch:
-        """What `to_run` stored.
+        """Restore what `to_run` stored.
 
         Raises:
-            KeyError, TypeError: data of something else.
+            KeyError, TypeError: the data is not a stored `Watch`.
         """
         pushes = tuple(Judged(**{**push, "effects": tuple(push["effects"])}) for push in stored["pushes"])
         return cls(int(stored["trials"]), np.full(3, np.nan), pushes)
 
 
 class ModelMonitor(PythonSystem):
-    """Holds the predicted pose against the observed one.
+    """Compares the predicted pose with the observed one.
 
     Inputs:
-        universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
+        universes: abstract, `Universes` of a `MultiverseSlider` driven by the same finger, or None.
         object_pose: abstract, `ObservedPose`.
-        trials: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
+        trials: abstract, tuple of recorded `Trial`s, which start and end with the object at rest.
 
     Outputs:
         residual: (3,) observed minus predicted pose (m, m, rad) when the object was last seen; NaN before.
-        misfit: (1,) of the last push that was judged (`slipmap.models.inference.push_misfit`); NaN before.
+        misfit: (1,) of the last push judged (`slipmap.models.inference.push_misfit`); NaN before.
         evidence: (1,) E of `slipmap.models.inference.push_misfit`.
-        alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
-            evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
-            A push that ends outside the region of level 1 - LEVEL (`push_misfit.resting_region`) gives it at
-            once, whatever the evidence. A model that is given other effects begins without evidence.
-        watch: abstract, `Watch`, all of it.
+        alarm: abstract bool. It is raised when the evidence reaches 1/LEVEL, and cleared only when the
+            evidence is back at 1, that is, when pushes have been predicted as well as usual for a while. A
+            push that ends outside the region of level 1 - LEVEL (`push_misfit.resting_region`) raises it at
+            once, whatever the evidence. When the model's effects change, the evidence starts again.
+        watch: abstract, `Watch`, all of these together.
 
-    A push is judged when its record is complete, by where the object came to rest (on its way, the arm may
-    hide it), and by the mean force that the finger needed, where that is recorded and the push was no tap.
+    A push is judged when its recording is complete: by the pose at which the object came to rest (the arm may
+    hide it on the way), and by the mean force of the finger if that was recorded and the push was not a tap.
     Pushes that no belief predicted do not count. An angle that cannot be seen (`angle_held`) is not judged.
 
     Args:
         sensors: noise of the recorded poses; position and angle are used.
-        period: of looking, s.
-        model_error: α, by which share of the way the model is off anyway.
-        before: what an earlier process saw.
+        period: of updates, s.
+        model_error: α, the model's usual error as a share of the path.
+        before: state left by an earlier process.
 
     Raises:
         ValueError: the noise of position or angle is not given.
@@ -169,7 +169,7 @@ class ModelMonitor(PythonSystem):
         self.declare_steps(period, self._watch, self._look)
 
     def watch(self, context: Context) -> Watch:
-        """What has been seen so far."""
+        """The observations and judgements so far."""
         return read(context, self._watch)
 
     def _look(self, context: Context, watch: Watch) -> Watch:
@@ -202,7 +202,7 @@ class ModelMonitor(PythonSystem):
         evidence = before * push_misfit.bet(max(p, LEAST_P))
         region = push_misfit.resting_region(start, universes.poses, belief, error)
         seen = turned_to(end, region.middle[2])
-        if held:  # it turned as far as nobody knows
+        if held:  # its rotation is unknown
             seen[2] = region.middle[2]
         middle = middle_poses(universes.poses, belief.probability, belief.grid)
         off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)

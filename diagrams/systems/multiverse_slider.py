@@ -17,11 +17,11 @@ from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Ste
 class Universes:
     """K hypotheses in motion."""
 
-    belief: Belief  # that they are of
+    belief: Belief  # their source
     stepper: Stepper  # the model
     models: StepModels  # maps as the kernel takes them
     states: FloatArray  # (K, Z) see `Stepper`
-    history: FloatArray  # (K, L, 3) true poses one, two, … steps ago, as far back as the tracker may be late
+    history: FloatArray  # (K, L, 3) true poses one, two, … steps ago, back to the tracker's largest latency
     push: int | None  # number of the push that set them in motion, or None
     begin: float  # time at which they were placed, s
     order: float  # place of the push in the experiment, from 0
@@ -67,17 +67,17 @@ def placed(
 
 
 class MultiverseSlider(PythonSystem):
-    """K hypotheses of a belief under one finger, in steps of h, one call of the kernel a step.
+    """K hypotheses of a belief under one finger, in steps of h, with one kernel call per step.
 
     Inputs, all optional:
-        wrench: (5,) and
-        finger: (4,) as of `CellGridSlider`.
+        wrench: (5,), and
+        finger: (4,), as for `CellGridSlider`.
         belief: abstract, `Belief` or None.
         object_pose: abstract, `ObservedPose`.
         push: abstract, None or something with a `push_id`, such as an `ActivePush`.
 
-    As soon as `push` has another number, all hypotheses of the `belief` are placed, at rest, where the object
-    is seen; then they go their own ways until the next push.
+    When the number of `push` changes, all hypotheses of the `belief` are placed at rest at the object's
+    observed pose; they then evolve separately until the next push.
 
     Outputs:
         poses: abstract, (K, 3) x, y, θ in the world as a tracker reports them; (0, 3) without a belief.
@@ -87,7 +87,7 @@ class MultiverseSlider(PythonSystem):
 
     Args:
         h: step, s.
-        belief: to begin with, placed at the origin; None waits for the first push.
+        belief: initial belief, placed at the origin; None waits for the first push.
     """
 
     def __init__(self, h: float, belief: Belief | None = None) -> None:
@@ -136,7 +136,7 @@ class MultiverseSlider(PythonSystem):
         return replace(universes, states=states, history=history)
 
     def _restarted(self, context: Context) -> Universes | None:
-        """The hypotheses placed anew if a new push has begun and the object is seen."""
+        """The hypotheses, placed again if a new push has begun and the object is seen; else None."""
         before = self.universes(context)
         push = self.optional_input(context, "push")
         if push is None or (before is not None and before.push == push.push_id):
@@ -145,7 +145,7 @@ class MultiverseSlider(PythonSystem):
         belief = belief if belief is not None or before is None else before.belief
         if belief is None:
             return None
-        seen = self.optional_input(context, "object_pose")  # last, as it may have to be waited for
+        seen = self.optional_input(context, "object_pose")  # last, because it may have to wait for a picture
         if seen is None or not seen.valid:
             return None
         order = 0.0 if before is None or before.push is None else before.order + 1.0

@@ -1,4 +1,4 @@
-"""Finds pushes in what a cell says, whoever makes them."""
+"""Finds pushes in a cell's signals when somebody else drives the arm."""
 
 from dataclasses import dataclass, replace
 
@@ -18,28 +18,28 @@ from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 
 TOUCH = 0.005
-"""m between finger and outline up to which they may have touched: outline and pose are not that exact."""
+"""m between finger and outline within which they may have touched, given the errors of outline and pose."""
 
 MOVED, TURNED = 0.002, 0.02
-"""m and rad that the object must have moved by; less is what looking at it again may show."""
+"""m and rad by which the object must have moved; two looks at an object at rest may differ by less."""
 
 GAP = 0.1
-"""s without a word of the arm after which nobody knows what the finger did."""
+"""s without a message from the arm after which the finger's motion counts as unknown."""
 
 LONGEST = 60.0
-"""s that the finger may be down for a push."""
+"""s that the finger may stay down for a push."""
 
 _UNSEEN = "the object was not seen at rest afterwards"
 
 
 @dataclass(frozen=True)
 class Descent:
-    """A time during which the finger was down beside the object, and what came of it."""
+    """A period during which the finger was down, and its outcome."""
 
     # begin, end: s of the diagram's time
     begin: float
     end: float
-    reason: str = ""  # why it was not kept as a push; empty where it was
+    reason: str = ""  # why it was not kept as a push; empty if it was
 
     @property
     def kept(self) -> bool:
@@ -51,37 +51,39 @@ class Descent:
 class _Found:
     """State."""
 
-    phase: str = "up"  # `up`, `down`, or `after`: up again, and the object is to be seen at rest
+    phase: str = "up"  # `up`, `down`, or `after`: up again, waiting to see the object at rest
     # begin, end: of the present descent, s
     begin: float = 0.0
     end: float = 0.0
-    reason: str = ""  # why the present descent is no push, once that is known
-    touched: bool = False  # whether the finger was at the object
-    # pose (3,) at which the object was last seen with the arm aside, since the descent before
+    reason: str = ""  # why the present descent is not a push, once known
+    touched: bool = False  # whether the finger reached the object
+    # pose (3,) at which the object was last seen with the arm aside, since the previous descent
     rest: FloatArray | None = None
-    measured: float = -np.inf  # time at which the arm measured where it was, s
+    measured: float = -np.inf  # time of the arm's last measured position, s
     looked: float = -np.inf  # time of the newest picture that showed the object, s
-    aside: tuple[bool, bool] = (False, False)  # whether the arm was aside at the last look, and is
-    descents: tuple[Descent, ...] = ()  # that are over
+    aside: tuple[bool, bool] = (False, False)  # whether the arm was aside when the last two pictures came
+    descents: tuple[Descent, ...] = ()  # completed ones
 
 
 class PushFinder(PythonSystem):
-    """Says of an arm that somebody else drives when it pushes, as executor and supervisor of a loop would.
+    """Detects the pushes of an arm that somebody else drives, in place of a loop's executor and supervisor.
 
     Inputs:
     - `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`; `aside`: bool, whether the arm hides
       nothing of the object.
     - `tip_pose`: X_WT of the finger's end; `tip_age` (1,): s since it was measured.
     - `gripper.state_measured` (2,): opening and its rate, m and m/s.
-    - `trials`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    - `trials`: tuple of `Trial` from the `MeasurementLogger` that this block drives.
     Outputs:
-    - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down) or
-      `retreating`; `status`: `LoopStatus` in `looking`, `pushing` or `recording`.
+    - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down),
+      `approaching` (it is down, but this is not a push) or `retreating`; `status`: `LoopStatus` in `looking`,
+      `pushing` or `recording`.
     - `descents`: tuple of `Descent`.
 
-    The finger is down while its end is lower than the object's top. A descent is a push where the object was
-    seen at rest before it and is so after it, and has moved; where the finger came near it, closed; and where
-    the arm said all the time where it was. A look counts where the arm is out of its way before and after.
+    The finger is down while its end is lower than the object's top. A descent is a push if the object was
+    seen at rest before and after it and has moved, the gripper was closed, the finger came near the object,
+    and the arm reported its position throughout. A look counts if the arm was aside before and after
+    the picture was taken.
 
     Args:
         finger_radius: m.
@@ -103,11 +105,11 @@ class PushFinder(PythonSystem):
         self.declare_output_of("descents", self._found, lambda found: found.descents)
 
     def _now(self, context: Context) -> tuple[_Found, int]:
-        """What was found, and the number of recorded trials."""
+        """The state, and the number of recorded trials."""
         return read(context, self._found), len(self.input(context, "trials"))
 
     def given_up(self, context: Context) -> str:
-        """Why the push under way, if any, is not a push yet; empty where there is none."""
+        """Why the descent under way is not a push yet; empty if there is none."""
         found: _Found = read(context, self._found)
         if found.phase == "up":
             return ""
@@ -139,7 +141,7 @@ class PushFinder(PythonSystem):
             return replace(now, phase="down", begin=measured, end=measured, touched=False, reason=reason)
         reason = now.reason
         if silent > GAP:
-            reason = reason or f"the arm said nothing for {silent:.2f} s"
+            reason = reason or f"the arm sent nothing for {silent:.2f} s"
         if measured - now.begin > LONGEST:
             reason = reason or f"the finger was down for more than {LONGEST:.0f} s"
         lies = pose.pose if pose.valid else now.rest
@@ -147,7 +149,7 @@ class PushFinder(PythonSystem):
         return replace(now, touched=touched, reason=reason)
 
     def _unfit(self, context: Context, now: _Found) -> str:
-        """Why no push can begin now."""
+        """Why no push can start now; empty if one can."""
         if now.rest is None:
             return "the object was not seen at rest before"
         opening = float(self.input(context, "gripper.state_measured")[0])
@@ -166,7 +168,7 @@ class PushFinder(PythonSystem):
         return replace(now, phase="after", aside=(False, False))
 
     def _looked(self, context: Context, now: _Found, pose: ObservedPose) -> _Found:
-        """With a picture that is new; one counts if the arm is aside then, and at the next."""
+        """The state after a new picture, which counts if the arm was aside before and after it was taken."""
         if pose.time <= now.looked:
             return now
         aside = (now.aside[1], bool(self.input(context, "aside")))
@@ -183,7 +185,7 @@ class PushFinder(PythonSystem):
 
 
 def _over(now: _Found, reason: str) -> _Found:
-    """The present descent is over."""
+    """The state with the present descent completed."""
     return replace(
         now,
         phase="up",

@@ -1,17 +1,17 @@
-"""Systems written in Python that Python can free, with all that they hold.
+"""Bases for systems written in Python that Python can free, together with everything they hold.
 
-What pydrake makes of a class in Python is never freed on its own, for two reasons, and takes the diagram that
-it is in, its plant and its Contexts along: 18 MB for each exploration.
+A pydrake system defined in Python is otherwise never freed, for two reasons, and keeps its diagram, plant and
+Contexts alive: 18 MB for each exploration.
 
-- A class statement gives its instances a `__dict__` although those of pydrake's classes have one already.
-  Python 3.11 then counts what is in it twice, and takes the system for one that somebody else holds, too. An
-  empty `__slots__` prevents it.
-- The function behind an output port is held by C++, where Python's collector does not see that it holds the
-  system in turn (RobotLocomotion/drake#24162). Here the system holds it, and C++ one that does not hold the
-  system.
+- A class statement gives instances a `__dict__` although instances of pydrake's classes already have one.
+  Python 3.11 then counts its contents twice and assumes that something else holds the system, too. An empty
+  `__slots__` prevents this.
+- C++ holds the function behind an output port, and Python's collector does not see that the function in turn
+  holds the system (RobotLocomotion/drake#24162). Here the system holds the function, and C++ holds one that
+  does not hold the system.
 
-Drake copies all abstract state of a diagram at every unrestricted update. What cannot change need not be
-copied with it: a belief, or the rows of a recording, would cost more than the simulation.
+Drake copies all abstract state of a diagram at every unrestricted update. Immutable values need no copies:
+copying a belief or the rows of a recording would cost more than the simulation.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, Even
 
 
 def weakly(method: Callable[..., None]) -> Callable[..., None]:
-    """What calls a method but does not hold its object, for C++ to keep; nothing, once the object is gone."""
+    """A function for C++ to keep that calls a method without holding its object, while the object lives."""
     method_or_none = WeakMethod(method)
 
     def call(*args: Any) -> None:
@@ -37,7 +37,7 @@ def weakly(method: Callable[..., None]) -> Callable[..., None]:
 
 
 class WithoutOwnDict(type(LeafSystem)):  # type: ignore[misc]
-    """For classes whose instances have no `__dict__` but that of pydrake's class."""
+    """Metaclass of classes whose instances have only the `__dict__` of pydrake's class."""
 
     def __new__(cls, name: str, bases: tuple[type, ...], namespace: dict[str, Any]) -> type:
         """A class with empty `__slots__`."""
@@ -45,18 +45,18 @@ class WithoutOwnDict(type(LeafSystem)):  # type: ignore[misc]
 
 
 class HoldsOutputFunctions:
-    """Before a `LeafSystem` among the bases of a class: holds the functions of output ports in Python."""
+    """Mixin, placed before `LeafSystem` in the bases: holds the functions of output ports in Python."""
 
     __slots__ = ()
 
     def DeclareVectorOutputPort(self, name: str, model: Any, calc: Callable[..., None], *tickets: Any) -> Any:
-        """As that of `LeafSystem`, whose first parameters have no names here."""
+        """As in `LeafSystem`, with positional parameters."""
         return super().DeclareVectorOutputPort(name, model, self._held(calc), *tickets)  # type: ignore[misc]
 
     def DeclareAbstractOutputPort(
         self, name: str, alloc: Callable[[], Any], calc: Callable[..., None], *tickets: Any
     ) -> Any:
-        """As that of `LeafSystem`, whose first parameters have no names here."""
+        """As in `LeafSystem`, with positional parameters."""
         return super().DeclareAbstractOutputPort(name, alloc, self._held(calc), *tickets)  # type: ignore[misc]
 
     def _held(self, calc: Callable[..., None]) -> Callable[..., None]:
@@ -73,10 +73,10 @@ class HoldsOutputFunctions:
 
 
 class Held:
-    """A value that copies of a Context share.
+    """A value shared by all copies of a Context.
 
     Args:
-        value: nothing may change it afterwards.
+        value: must not be changed afterwards.
     """
 
     __slots__ = ("value",)
@@ -92,38 +92,38 @@ class Held:
 
 
 def held(value: Any) -> AbstractValue:
-    """Model value of an abstract state that holds values as they are."""
+    """Model value of an abstract state whose values are shared, not copied."""
     return Value[object](Held(value))
 
 
 def read(context: Context | State, index: AbstractStateIndex) -> Any:
-    """What an abstract state made by `held` holds."""
+    """The value of an abstract state declared with `held`."""
     return context.get_abstract_state(int(index)).get_value().value
 
 
 def replace_held(state: State, index: AbstractStateIndex, value: Any) -> None:
-    """Let an abstract state made by `held` hold another value."""
+    """Set the value of an abstract state declared with `held`."""
     state.get_mutable_abstract_state(int(index)).set_value(Held(value))
 
 
 class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
-    """Base of all systems here that are written in Python."""
+    """Base of all Python systems here."""
 
     def declare_inputs(self, *names: str) -> None:
-        """Input ports for Python's objects."""
+        """Declare input ports for Python objects."""
         for name in names:
             self.DeclareAbstractInputPort(name, Value[object](None))
 
     def declare_steps(
         self, period: float, index: AbstractStateIndex, following: Callable[[Context, Any], Any]
     ) -> None:
-        """Have an abstract state made by `held` go on; one of a system at most.
+        """Declare a periodic update of an abstract state declared with `held`; at most one per system.
 
         Args:
             period: s between two steps.
             index: of the state.
-            following: what comes after a Context and what the state holds, which it returns where nothing
-                is to change.
+            following: computes the next value from a Context and the present value; returns the latter itself
+                if nothing changes.
         """
         self._stepped, self._following = index, following
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._take_step)
@@ -139,18 +139,18 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
     def declare_output_of(
         self, name: str, index: AbstractStateIndex, part: Callable[[Any], Any] = lambda held: held
     ) -> None:
-        """An output port for (a part of) what an abstract state made by `held` holds."""
+        """Declare an output port for (a part of) the value of an abstract state declared with `held`."""
         own = {self.abstract_state_ticket(index)}
         self.declare_output(name, lambda context: part(read(context, index)), own)
 
     def declare_output(
         self, name: str, value: Callable[[Context], Any], after: set[Any], model: AbstractValue | None = None
     ) -> None:
-        """An output port for what a function makes of a Context.
+        """Declare an output port whose value a function computes from a Context.
 
         Args:
-            after: tickets of all that it depends on.
-            model: of another type than Python's objects; the port then fits Drake's own of this type.
+            after: tickets of everything it depends on.
+            model: a value of the port's type, to match Drake's own ports; None for Python objects.
         """
         alloc = (lambda: Value[object](None)) if model is None else model.Clone
         self.DeclareAbstractOutputPort(
@@ -160,19 +160,19 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
     def declare_vector_output(
         self, name: str, size: int, value: Callable[[Context], Any], after: set[Any]
     ) -> None:
-        """The same for numbers (size,)."""
+        """Declare a vector output port of some size."""
         self.DeclareVectorOutputPort(
             name, size, lambda context, output: output.SetFromVector(value(context)), after
         )
 
     def input(self, context: Context, name: str) -> Any:
-        """What comes in at a port."""
+        """The value at an input port."""
         return self.GetInputPort(name).Eval(context)
 
     def optional_input(self, context: Context, name: str) -> Any:
-        """What comes in at a port; None where it is not connected."""
+        """The value at an input port; None if it is not connected."""
         return self.input(context, name) if self.GetInputPort(name).HasValue(context) else None
 
 
 class PythonDiagram(Diagram, metaclass=WithoutOwnDict):
-    """Base of all diagrams here that are classes."""
+    """Base of all diagram classes here."""

@@ -1,7 +1,7 @@
-"""The order of the robot's loops: what is to be done next, and when a loop gives up.
+"""State machines of the robot's loops: what to do next, and when to give up.
 
-`PushSupervisor` explores: look, choose, push, record, learn, and again. `PregraspSupervisor` takes over from
-it: plan, push, record, and again; at the table's edge grasp, lift and hold.
+`PushSupervisor` explores: look, choose, push, record, learn, repeat. `PregraspSupervisor` takes over from it:
+plan, push, record, repeat; at the table's edge grasp, lift and hold.
 """
 
 from collections.abc import Callable
@@ -24,31 +24,31 @@ PATIENCE = 20.0
 """s that the object may stay out of sight before the loop gives up."""
 
 PATIENCE_REAL = 100.0
-"""The same where others look at the pictures, who may be late on a busy computer, s."""
+"""The same when another process handles the pictures, which may be late on a busy computer, s."""
 
 
 MOST_MISSED = 3
-"""Candidates for one push that may touch nothing before the loop gives up."""
+"""Candidates for one push that may miss the object before the loop gives up."""
 
 
 class PushSupervisor(PythonSystem):
-    """Decides what the loop does next.
+    """Decides what the exploration loop does next.
 
     Inputs:
     - `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`, the object as first seen.
-    - `plan`: `ExplorationPlan | None` from the exploration.
+    - `plan`: `ExplorationPlan | None` from `Exploration`.
     - `execution`: `ExecutionStatus` of the arm.
-    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from; `missed`
+    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief was learned from; `missed`
       (optional): numbers of candidates that touched nothing, for which others are chosen.
-    - `repair`: `Repair` of a `Diagnosis`, which is waited for after each push and may ask for more; not
-      connected where there is none.
+    - `repair` (optional): `Repair` from a `Diagnosis`; the loop waits for it after each push, and it may ask
+      for more pushes.
     Outputs:
-    - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
+    - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, the push for the arm to make.
 
     Args:
-        fit: pushes to learn from.
-        heldout: pushes after these, made to judge the belief and not learned from.
-        made: pushes that were recorded before; it begins with learning from them.
+        fit: number of pushes to learn from.
+        heldout: number of pushes after these that only judge the belief.
+        made: number of pushes recorded earlier; the loop starts by learning from them.
         patience: s that the object may stay out of sight.
     """
 
@@ -79,7 +79,7 @@ class PushSupervisor(PythonSystem):
                 active = ActivePush(following.number, plan.choice.push)
             replace_held(state, self._active, active)
         elif now.mode in CHOOSING and self.input(context, "object_pose").valid:
-            # Choosing takes its time; patience is for an object that is out of sight.
+            # Choosing may take long; only time during which the object is out of sight counts.
             state.get_mutable_discrete_state(0)[0] = context.get_time()
         return EventStatus.Succeeded()
 
@@ -95,7 +95,7 @@ class PushSupervisor(PythonSystem):
             plan = self.input(context, "plan")
             if plan is None or plan.number != now.number:
                 if self.input(context, "object_pose").valid:
-                    return now  # choosing takes its time
+                    return now  # choosing may take long
                 return self._patient(context, now, _unseen(self.input(context, "object_pose")))
             if plan.choice is None:
                 return LoopStatus("failed", now.push, now.attempt, plan.reason)
@@ -145,64 +145,64 @@ class PushSupervisor(PythonSystem):
 
 
 _MISSED = (
-    f"in {MOST_MISSED} pushes the finger touched nothing: the object did not move, and no force was felt; see"
-    " whether execution.tip_height is below the object's height, and the camera's pose"
+    f"the finger touched nothing in {MOST_MISSED} pushes: the object did not move, and no force was felt;"
+    " check that execution.tip_height is below the object's height, and check the camera's pose"
 )
 
 
 def _too_often(missed: tuple[int, ...], now: LoopStatus) -> bool:
-    """Whether so many candidates for the present push missed that others will, too, or none is left."""
+    """Whether too many candidates for the present push missed, or none is left."""
     of_push = [number for number in missed if number // MOST_ATTEMPTS == now.push]
     return len(of_push) >= MOST_MISSED or now.attempt + 1 == MOST_ATTEMPTS
 
 
 def _unseen(pose: ObservedPose | None) -> str:
-    """Why the camera does not see the object, in words."""
+    """The reason why the camera does not see the object, in words."""
     return f"the camera does not see the object: {'no picture' if pose is None else pose.why}"
 
 
 def _unrecorded(pose: ObservedPose | None) -> str:
-    """Why a push that was made has no end, in words."""
+    """The reason why a push could not be recorded, in words."""
     if pose is not None and pose.valid:
         return "the object was not seen at rest after the push"
     return f"the object was not seen after the push; {_unseen(pose)}"
 
 
 HOLD = 1.0
-"""s that the object is held in the air before it counts as held."""
+"""s that the object stays in the air before it counts as held."""
 
-_HELD_LESS = 0.5  # share of the height between the pins by which they may come closer while they hold
-_HELD_MORE = 0.01  # m by which they may be further apart than that height; the camera is wrong by less
+_HELD_LESS = 0.5  # share of the height by which the pins may be closer together while they hold
+_HELD_MORE = 0.01  # m by which they may be further apart than that height; the camera's error is smaller
 
 
 @dataclass(frozen=True, eq=False)
 class _Bringing:
-    """What is going on since exploring ended."""
+    """State of the supervisor after exploration has ended."""
 
-    status: LoopStatus  # where the loop is
-    since: float  # when that began, or, while it is planned, when the object was last seen, s
-    # push, grasp: what the arm is to do
+    status: LoopStatus  # present step of the loop
+    since: float  # when it began, or, while planning, when the object was last seen, s
+    # push, grasp: for the arm to make
     push: ActivePush | None = None
     grasp: ActiveGrasp | None = None
 
 
 class PregraspSupervisor(PythonSystem):
-    """Takes over from the supervisor of exploration, and brings the object into the gripper.
+    """Takes over from the supervisor of exploration and brings the object into the gripper.
 
     Inputs:
-    - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, of the `PushSupervisor`. Until
-      exploring is finished, `status` and `active_push` are these; then come the modes `BRINGING`.
+    - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, from the `PushSupervisor`. They
+      are passed on as `status` and `active_push` until exploration ends; the modes `BRINGING` follow.
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
-    - `trials`: tuple of recorded `Trial`s, `missed` (optional): as of `PushSupervisor`;
+    - `trials`: tuple of recorded `Trial`s, `missed` (optional): as for `PushSupervisor`;
       `gripper.state_measured`: (2,) opening and its rate, m and m/s.
-    - `repair`: `Repair`, and `learned`: pushes that the belief comes from; not connected where the model is
-      not repaired. Then each push is looked into and learned from before the next is planned.
+    - `repair`: `Repair`, and `learned`: number of pushes that the belief was learned from; connected only if
+      the model is repaired. Then each push is diagnosed and learned from before the next is planned.
     Outputs:
-    - `status`: `LoopStatus`; pushes are counted on from those that explored.
-    - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
+    - `status`: `LoopStatus`; the numbering of pushes continues from exploration.
+    - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: for the arm to make.
 
-    The object counts as held when, a second after lifting, the pins are still about as far apart as the
-    object is high between them.
+    The object counts as held if, a second after lifting, the distance between the pins is still about the
+    object's height at the grasp.
 
     Args:
         patience: s that the object may stay out of sight.
@@ -258,7 +258,7 @@ class PregraspSupervisor(PythonSystem):
             if plan is None or plan.number != status.number:
                 pose: ObservedPose | None = self.input(context, "object_pose")
                 if pose is not None and pose.valid:
-                    return replace(now, since=time)  # planning takes its time, and the object is there
+                    return replace(now, since=time)  # planning may take long, and the object is in view
                 return patient(_unseen(pose))
             return _started(plan, status, time)
         if status.mode in ("pushing", "grasping") and answered and execution.mode == "refused":
@@ -301,14 +301,14 @@ class PregraspSupervisor(PythonSystem):
             return "the pins closed on nothing"
         if between > height + _HELD_MORE:
             return (
-                f"the gripper did not close: there are {1e3 * between:.0f} mm between its pins, and the"
-                f" object is {1e3 * height:.0f} mm high; see whether it is stuck or switched off"
+                f"the gripper did not close: its pins are {1e3 * between:.0f} mm apart, but the object is"
+                f" {1e3 * height:.0f} mm high; check whether the gripper is stuck or switched off"
             )
         return ""
 
 
 def _started(plan: PregraspPlan, status: LoopStatus, time: float) -> _Bringing:
-    """The begin of what a plan says."""
+    """The state at the start of a plan's action."""
     if plan.push is not None:
         push = ActivePush(status.number, plan.push.push)
         return _Bringing(LoopStatus("pushing", status.push, status.attempt), time, push=push)

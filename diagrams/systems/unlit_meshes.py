@@ -1,6 +1,6 @@
-"""Flat shapes for Meshcat whose colours are those of a legend, whatever the light and from wherever seen.
+"""Flat shapes for Meshcat that keep their exact colours under any light and from any viewpoint.
 
-They are glTF files with `KHR_materials_unlit`, held in memory.
+They are in-memory glTF files with `KHR_materials_unlit`.
 """
 
 import base64
@@ -29,16 +29,16 @@ def unlit_mesh(
     picture: bytes | None = None,
     places: FloatArray | None = None,
 ) -> Mesh:
-    """A mesh with coloured corners or a picture on it, seen from both sides.
+    """A mesh with vertex colours or a picture on it, visible from both sides.
 
     Args:
         vertices: (v, 3) m.
         triangles: (t, 3) rows of `vertices`.
         colors: (v, 3) sRGB, 0 to 1.
         picture: a PNG file instead of colours.
-        places: (v, 2) of the vertices on the picture, (0, 0) being its upper left corner.
+        places: (v, 2) texture coordinates of the vertices; (0, 0) is the picture's upper left corner.
     """
-    # glTF has y upwards where Drake has z.
+    # y points up in glTF, z in Drake.
     upright = np.column_stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]])
     parts: list[tuple[NDArray[Any], int, str]] = [
         (upright.astype("<f4"), _VERTICES, "VEC3"),
@@ -97,14 +97,14 @@ def painted(shape: Triangles, color: tuple[float, float, float]) -> Mesh:
 
 
 def tiles(grid: CellGrid, colors: FloatArray) -> Mesh:
-    """One flat box a cell in its colour (n, 3), top at z = 0; their sides are darker. They leave seams."""
+    """A flat box per cell in colours (n, 3), with tops at z = 0, darker sides, and seams between them."""
     half = 0.46 * grid.width
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     ring = (grid.centers[:, None] + corners).reshape(-1, 4, 2)
     n = len(grid)
     top = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
     low = np.concatenate([ring, np.full((n, 4, 1), -_THICKNESS)], axis=2)
-    # Twelve corners a cell: the top's, and those of the sides.
+    # Twelve vertices per cell: four for the top, eight for the sides.
     vertices = np.concatenate([top, top, low], axis=1).reshape(-1, 3)
     shades = np.concatenate(
         [np.repeat(colors[:, None], 4, axis=1), np.repeat(0.7 * colors[:, None], 8, axis=1)], axis=1
@@ -118,7 +118,7 @@ def tiles(grid: CellGrid, colors: FloatArray) -> Mesh:
 
 
 def ribbon(edges: FloatArray, width: float) -> Triangles:
-    """Line segments (E, 4) in the plane z = 0 as strips of some width, m."""
+    """Line segments (E, 4) in the plane z = 0 as strips of a given width, m."""
     begin, end = edges[:, :2], edges[:, 2:]
     along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True) * 0.5 * width
     across = np.column_stack([-along[:, 1], along[:, 0]])
@@ -144,7 +144,7 @@ def ringed_discs(centers: FloatArray, radii: FloatArray) -> Mesh:
 
 
 def arrow(length: float, width: float, head: float) -> Triangles:
-    """From the origin along x in the plane z = 0: a shaft of some width, and a head 2.6 times as wide."""
+    """An arrow from the origin along x in the plane z = 0, with a head 2.6 times as wide as its shaft."""
     neck, half = length - head, 0.5 * width
     shaft = [[0, -half], [neck, -half], [neck, half], [0, half]]
     points = np.array([*shaft, [neck, -2.6 * half], [length, 0], [neck, 2.6 * half]])
@@ -163,7 +163,7 @@ def billboard(picture: bytes, width: float, height: float) -> Mesh:
 
 
 def quads(corners: FloatArray) -> Triangles:
-    """Four-cornered faces (k, 4, 3), m."""
+    """Quadrilaterals (k, 4, 3), m, as triangles."""
     begin = 4 * np.arange(len(corners))[:, None, None]
     triangles = (begin + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     return corners.reshape(-1, 3), triangles.astype(np.uint32)

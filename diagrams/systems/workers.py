@@ -1,4 +1,4 @@
-"""Work that takes long, done beside the diagram by others, or at once where there are none."""
+"""Long computations, run in worker processes beside the diagram, or in place if there are none."""
 
 import gc
 import os
@@ -18,8 +18,8 @@ Result = TypeVar("Result")
 COUNT = 2
 """Processes: one for pictures, one for learning or planning."""
 
-_NICER = 5  # of a worker: what commands the arm comes first
-_HAND_OVER = 1e-3  # s after which a thread lets another go on
+_NICER = 5  # niceness added to workers, as commands to the arm come first
+_HAND_OVER = 1e-3  # s after which a thread yields to another
 
 
 def begun(
@@ -28,10 +28,10 @@ def begun(
     *args: Arguments.args,
     **kwargs: Arguments.kwargs,
 ) -> Future[Result]:
-    """A task under way, or already done where there is no worker.
+    """Start a task; without a worker, run it at once.
 
-    A block keeps it in its Context (`held`), asks at each of its events whether it is done, and then takes
-    its `result`, which raises what the task raised. Task and arguments must not change meanwhile.
+    A block keeps the future in its Context (`held`), checks at each of its events whether it is done, and
+    then takes its `result`, which raises what the task raised. Task and arguments must not change meanwhile.
     """
     if worker is not None:
         return worker.submit(task, *args, **kwargs)
@@ -45,10 +45,10 @@ def begun(
 
 @contextmanager
 def workers() -> Iterator[Executor]:
-    """Processes for tasks, up and running; at the end those that still work are ended.
+    """Run worker processes; on exit, those still working are killed.
 
-    Meanwhile the threads of this process hand over more often than by default, and what it holds is not
-    searched for garbage, which would stop everything for a while now and then.
+    Meanwhile the threads of this process switch more often than by default, and its present objects are
+    exempt from garbage collection, which would cause pauses.
     """
     from joblib.externals.loky import ProcessPoolExecutor  # takes closures, unlike that of the library
 
@@ -67,7 +67,7 @@ def workers() -> Iterator[Executor]:
 
 
 def _load() -> None:
-    """Load what tasks need, and take so long that the other process has to start, too."""
+    """Import what tasks need, and take long enough that the other process has to start, too."""
     for name in (
         "slipmap.diagrams.perception.cell_perception",
         "slipmap.diagrams.systems.goal_and_push_planner",
@@ -80,7 +80,7 @@ def _load() -> None:
 def _prepare() -> None:
     prepare_worker()
     with suppress(OSError, AttributeError):
-        # Who gave the diagram real-time priority, where there is such a thing, did not mean its workers.
+        # Real-time priority, where it exists, is meant for the diagram, not for its workers.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError):
         os.nice(_NICER)

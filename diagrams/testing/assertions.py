@@ -1,4 +1,4 @@
-"""What a scripted test of a cell may ask for, also of all commands that the arm was sent."""
+"""Assertions for scripted tests of a cell, including some on all commands sent to the arm."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from slipmap.models.robots import ARM_JOINTS, SPEED_LIMITS
 
 @dataclass(frozen=True, eq=False)
 class CommandLog:
-    """Commands in the order in which they were sent."""
+    """Commands in the order of sending."""
 
     times: FloatArray  # (n,) stamps of the sender, increasing, s
     q: FloatArray  # (n, 7) joint angles, rad
 
     @staticmethod
     def of(rows: FloatArray) -> CommandLog:
-        """From rows (n, 8) of a stamp and seven angles; what repeats a stamp, or goes back, is left out."""
+        """From rows (n, 8) of a stamp and seven angles; repeated and earlier stamps are left out."""
         rows = np.asarray(rows, dtype=float).reshape(-1, 8)
         if len(rows):
             newest = np.maximum.accumulate(rows[:, 0])
@@ -45,22 +45,23 @@ class CommandLog:
 
     @cached_property
     def joint_speeds(self) -> FloatArray:
-        """(n - 1, 7) from one command to the next, rad/s."""
+        """(n - 1, 7) joint speeds from one command to the next, rad/s."""
         return np.diff(self.q, axis=0) / np.diff(self.times)[:, None]
 
     @cached_property
     def tip_speeds(self) -> FloatArray:
-        """(n - 1,) of the finger's end, m/s."""
+        """(n - 1,) speeds of the finger's end, m/s."""
         kinematics = FingerKinematics(arm_model())
         tips = np.array([kinematics.pose(q).translation() for q in self.q]).reshape(-1, 3)
         return np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(self.times)
 
 
 class CommandRecorder(Child):
-    """A process that hears commands and writes them to a file; `close` ends it.
+    """A process that receives commands and writes them to a file; `close` ends it.
 
     Args:
-        url: LCM address at which the commands are heard.
+        url: LCM address of the commands.
+        path: of the file.
     """
 
     def __init__(self, url: str, path: Path) -> None:
@@ -68,13 +69,13 @@ class CommandRecorder(Child):
         super().__init__("the process that records commands", _record, url, str(path))
 
     def log(self) -> CommandLog:
-        """All commands until a moment ago."""
+        """All commands so far, except perhaps the very last."""
         data = self._path.read_bytes()
         return CommandLog.of(np.frombuffer(data[: len(data) // 64 * 64], "<f8"))
 
 
 def row_of(data: bytes) -> list[float]:
-    """Stamp, s, and angles of a command as it is sent."""
+    """Stamp, s, and angles of an encoded command."""
     command = lcmt_iiwa_command.decode(data)
     return [1e-6 * command.utime, *command.joint_position]
 
@@ -95,11 +96,11 @@ def _record(url: str, path: str) -> None:
             lcm.HandleSubscriptions(0)
 
 
-_ROUNDING = 1e-3  # stamps have microseconds, of which 5 ms are 5000
+_ROUNDING = 1e-3  # stamps are in whole microseconds, and 5 ms are 5000 of them
 
 
 def assert_predicts(run: ExplorationRun | Identification, within: float, role: str = "heldout") -> None:
-    """Held-out pushes end where they were predicted.
+    """Assert that held-out pushes end where they were predicted.
 
     Args:
         within: largest mean distance of the cells at the end of each push, m.
@@ -109,77 +110,77 @@ def assert_predicts(run: ExplorationRun | Identification, within: float, role: s
     errors = learned.errors(role)
     assert len(errors), f"no push has the role {role}, so nothing was predicted; ask for checks"
     assert errors.max() <= within, (
-        f"a push ended {1e3 * errors.max():.1f} mm from where it was predicted, {1e3 * within:.1f} mm are"
+        f"a push ended {1e3 * errors.max():.1f} mm from its prediction; {1e3 * within:.1f} mm are"
         f" allowed\n{_pushes(learned)}"
     )
 
 
 def assert_better_than_uniform(run: ExplorationRun | Identification, times: float = 1.0) -> None:
-    """Held-out pushes are predicted better, on average, than by the uniform object.
+    """Assert that held-out pushes are predicted better, on average, than by the uniform object.
 
     Args:
-        times: by which factor the error must be smaller.
+        times: factor by which the error must be smaller.
     """
     learned = _learned(run)
     own, uniform = learned.errors("heldout").mean(), learned.errors("heldout", "uniform_add").mean()
     assert times * own < uniform, (
-        f"predictions are off by {1e3 * own:.1f} mm, those of a uniform object by {1e3 * uniform:.1f} mm\n"
+        f"the mean error is {1e3 * own:.1f} mm, that of a uniform object {1e3 * uniform:.1f} mm\n"
         f"{_pushes(learned)}"
     )
 
 
 def assert_alarm(watch: Watch) -> None:
-    """The monitor gave an alarm: the object does not move as the model says."""
+    """Assert that the monitor gave an alarm: the object does not move as the model predicts."""
     assert any(push.alarm for push in watch.judged), f"no alarm\n{_judged(watch)}"
 
 
 def assert_quiet(watch: Watch, judged: int = 3) -> None:
-    """The monitor gave no alarm, though it had as many pushes to judge as an alarm takes, or as are asked."""
+    """Assert that the monitor gave no alarm on at least `judged` pushes; by default as many as one takes."""
     assert len(watch.judged) >= judged, (
-        f"only {len(watch.judged)} pushes were judged, {judged} are asked for; make more\n{_judged(watch)}"
+        f"only {len(watch.judged)} pushes were judged, {judged} are required; make more\n{_judged(watch)}"
     )
     assert not any(push.alarm for push in watch.judged), f"the monitor gave an alarm\n{_judged(watch)}"
 
 
 def assert_names(diagnosis: Diagnosis, effect: str) -> None:
-    """The diagnosis names an effect, alone or among those that the pushes cannot tell apart."""
+    """Assert that the diagnosis names an effect, alone or among those that the pushes cannot tell apart."""
     named = diagnosis.verdict in ("effect", "ambiguous") and effect in diagnosis.effects
     assert named, f"{effect} is not named; verdict {diagnosis.verdict}: {diagnosis.sentence}"
 
 
 def assert_adopts(run: ExplorationRun, effect: str) -> None:
-    """The robot gave its model an effect on the way, and kept it to the end."""
-    assert run.repair is not None, "the run was not to adapt; ask for adapt=True"
+    """Assert that the robot added an effect to its model on the way and kept it to the end."""
+    assert run.repair is not None, "the run did not adapt; set adapt=True"
     said = "\n".join(f"push {found.pushes}: {found.verdict}, {found.action}" for found in run.repair.findings)
     assert effect in run.repair.effects, f"{effect} is not in the model at the end\n{said or 'no diagnosis'}"
 
 
 def assert_held(run: PregraspRun) -> None:
-    """The gripper holds the object in the end."""
+    """Assert that the gripper holds the object in the end."""
     assert run.held, f"the object is not held after {len(run.pushes)} pushes to the edge: {run.reason}"
 
 
 def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> None:
-    """No command asked a joint, or the finger, for more speed than it may have.
+    """Assert that no command exceeded the speed limit of a joint or of the finger.
 
     Args:
         commands: of a `Cell`.
         guard: of the scenario; `tip_speed` is used.
     """
-    assert any(len(log.times) > 1 for log in commands), "no commands were heard"
+    assert any(len(log.times) > 1 for log in commands), "no commands were received"
     for log in commands:
         if len(log.times) < 2:
             continue
         share = np.abs(log.joint_speeds) / SPEED_LIMITS
         row, joint = np.unravel_index(share.argmax(), share.shape)
         assert share[row, joint] <= 1.0 + _ROUNDING, (
-            f"{ARM_JOINTS[joint]} was asked for {share[row, joint]:.2f} times its largest speed at"
+            f"{ARM_JOINTS[joint]} was commanded to {share[row, joint]:.2f} times its largest speed at"
             f" {log.times[row]:.3f} s of the sender's clock"
         )
         fastest = log.tip_speeds.argmax()
         assert log.tip_speeds[fastest] <= guard.tip_speed * (1.0 + _ROUNDING), (
-            f"the finger was asked for {log.tip_speeds[fastest]:.2f} m/s at {log.times[fastest]:.3f} s of the"
-            f" sender's clock, {guard.tip_speed:g} m/s are allowed"
+            f"the finger was commanded to {log.tip_speeds[fastest]:.2f} m/s at {log.times[fastest]:.3f} s of"
+            f" the sender's clock; {guard.tip_speed:g} m/s are allowed"
         )
 
 

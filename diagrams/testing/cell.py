@@ -1,4 +1,4 @@
-"""A cell as a test sees it: what is on its table, what the robot does there, and what goes wrong."""
+"""A cell for tests: its table, the robot's actions there, and injected faults."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,19 +20,18 @@ from slipmap.diagrams.testing.twins import LockstepCell, TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
 
 TWIN, LOCKSTEP = "twin", "lockstep"
-"""The twin in a process of its own, and the one that steps together with what drives it."""
+"""The twin in a separate process, and the one that steps in lockstep with its driver."""
 
-# Guards: of an arm that can do no harm, and so may go all its ways fast; and the same for a computer that
-# does much else beside.
+# Guards for an arm that can do no harm and so may always move fast, and the same on a busy computer.
 _UNHURT = GuardSettings(transit_speed=2.0)
 _BUSY = replace(_UNHURT, status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
 
 
 def small_scenario(where: str = TWIN) -> Scenario:
-    """A cell whose twin keeps up with real time on two cores; the guard of `TWIN` allows for a busy one."""
+    """A scenario whose twin keeps up with real time on two cores; its guard allows for a busy `TWIN`."""
     scenario = Scenario()
     scenario.simulation.time_step = 0.005
-    # With 320 by 240 pixels hammer and wrench are not made out in every twentieth pose.
+    # With 320 by 240 pixels, hammer and wrench are not detected in one pose out of twenty.
     scenario.camera = replace(scenario.camera, width=480, height_pixels=360, rate=5.0)
     scenario.guard = replace(_BUSY if where == TWIN else _UNHURT)
     return scenario
@@ -40,41 +39,41 @@ def small_scenario(where: str = TWIN) -> Scenario:
 
 @dataclass
 class Faults:
-    """Faults that are to happen while the robot works."""
+    """Faults to inject while the robot works."""
 
-    happened: list[Fault] = field(default_factory=list)  # what was ordered so far, in order
+    happened: list[Fault] = field(default_factory=list)  # faults ordered so far, in order
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
     _way: RelayProcess | LockstepCell | None = None
 
     def now(self, fault: Fault) -> None:
-        """Let a fault begin now.
+        """Start a fault now.
 
         Raises:
-            RuntimeError: the robot does nothing in a cell that steps only with it.
+            RuntimeError: the robot is idle in a cell that steps only with it.
         """
         if self._way is None:
-            raise RuntimeError("faults: nothing is running; plan them with `when` before the robot begins")
+            raise RuntimeError("faults: nothing is running; plan them with `when` before the robot starts")
         self.happened.append(fault)
         self._way.order(fault)
 
     def when(self, doing: str, fault: Fault, *, push: int = 1) -> None:
-        """Let a fault begin as soon as the robot does something.
+        """Start a fault as soon as the robot enters a mode.
 
         Args:
             doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; in a pre-grasp also `planning`,
                 `grasping`, `lifting`, `holding`.
-            fault: what is to go wrong.
-            push: number of the push during which, from 1; towards the edge they are counted anew.
+            fault: to inject.
+            push: number of the push during which it starts, from 1; towards the edge, numbering restarts.
 
         Raises:
-            ValueError: the robot does no such thing.
+            ValueError: the robot has no such mode.
         """
         if doing not in (known := {**DOING, **BRINGS}):
-            raise ValueError(f"faults: the robot never is {doing!r}; choose one of {', '.join(known)}")
+            raise ValueError(f"faults: the robot has no mode {doing!r}; choose one of {', '.join(known)}")
         self._planned.append((doing, push, fault))
 
     def look(self, stage: str, done: int) -> None:
-        """Let begin what was planned for a stage of the run, as `explore` names it."""
+        """Start the faults planned for a stage of the run, as named by `explore`."""
         for planned in list(self._planned):
             doing, push, fault = planned
             words = {DOING.get(doing), BRINGS.get(doing)} - {None}
@@ -84,12 +83,12 @@ class Faults:
 
 
 class Cell:
-    """A cell with something on its table. Use `open_cell` to get one.
+    """A cell with an object on its table. Use `open_cell` to get one.
 
     Attributes:
-        scenario: what the cell is like; of a twin also what it hides.
-        folder: where recordings go, a folder for each thing the robot did.
-        faults: what is to go wrong.
+        scenario: of the cell; for a twin including its hidden effects.
+        folder: where recordings go, one folder per run.
+        faults: to inject.
     """
 
     def __init__(
@@ -109,27 +108,27 @@ class Cell:
 
     @property
     def commands(self) -> list[CommandLog]:
-        """All commands that the arm was sent until now, a log for each stretch of one clock."""
+        """All commands sent to the arm so far, one log for each period with one clock."""
         return [self._recorder.log()] if self._recorder is not None else list(self._logs)
 
     def explore(
         self, pushes: int = 3, checks: int = 1, *, go_on: bool = False, **options: Any
     ) -> ExplorationRun:
-        """Have the robot explore what lies on the table, as `slipmap explore` does.
+        """Let the robot explore the object on the table, like `slipmap explore`.
 
         Args:
             pushes, checks, options: see `LoopOptions`.
-            go_on: begin with what the exploration before recorded, as with `--after`: all its pushes are
-                learned from, besides `pushes` new ones, and the model has the effects that are given now.
+            go_on: continue from the previous exploration, as with `--after`: all its pushes are learned from,
+                in addition to `pushes` new ones, and the model has the effects given now.
 
         Raises:
             ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.exploration_run.explore`.
-            ValueError: there was no exploration before.
+            ValueError: there is no previous exploration.
         """
         before = None
         if go_on:
             if self._explored is None:
-                raise ValueError("go_on: this cell has recorded no exploration to go on from")
+                raise ValueError("go_on: this cell has no recorded exploration to continue from")
             before = resumed(self._explored)[2].all_to_learn_from()
             pushes += len(before.trials)
         asked = LoopOptions(pushes=pushes, checks=checks, **options)
@@ -147,11 +146,11 @@ class Cell:
     def pregrasp(
         self, pushes: int = 3, *, most: int = 20, method: str = "probabilistic", **options: Any
     ) -> PregraspRun:
-        """Have the robot explore, push to the edge, grasp and lift, as `slipmap pregrasp` does.
+        """Let the robot explore, push to the edge, grasp and lift, like `slipmap pregrasp`.
 
         Args:
-            pushes, options: of exploring, see `LoopOptions`.
-            most: pushes towards the edge.
+            pushes, options: of the exploration, see `LoopOptions`.
+            most: largest number of pushes towards the edge.
             method: see `PregraspOptions`.
 
         Raises:
@@ -190,17 +189,17 @@ class Cell:
 def open_cell(
     where: str, folder: Path, scenario: Scenario | None = None, *, faulty: bool = False
 ) -> Iterator[Cell]:
-    """A cell, until the block ends.
+    """Open a cell until the block ends.
 
     Args:
-        where: `twin`, `lockstep`, or the LCM address of a cell that runs by itself.
+        where: `twin`, `lockstep`, or the LCM address of a cell that runs on its own.
         folder: where recordings go; made if missing.
-        scenario: what the cell is like, `small_scenario(where)` if None.
-        faulty: whether faults are to happen; then messages go through one more process.
+        scenario: of the cell; `small_scenario(where)` if None.
+        faulty: whether faults will be injected; messages then pass through one more process.
 
     Raises:
         HardwareError: a process could not be started, or a malformed address.
-        ValueError, RendererUnavailable: as `Station`.
+        ValueError, RendererUnavailable: as for `Station`.
 
     Example:
         >>> import pathlib

@@ -1,4 +1,4 @@
-"""Faults on the way between a cell and what drives it, and the relay that lets them happen."""
+"""Faults in the messages between a cell and its driver, and the relay that injects them."""
 
 import json
 import os
@@ -29,7 +29,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "arm": ("refuse",),
     "gripper": ("stuck",),
 }
-"""What can go wrong, by what it goes wrong with."""
+"""Kinds of faults, by the part that they affect."""
 
 _FROM_CELL = (
     network.IIWA_STATUS, network.GRIPPER_STATUS,
@@ -43,36 +43,36 @@ _CHANNEL = {
     "arm": network.IIWA_COMMAND,
     "gripper": network.GRIPPER_COMMAND,
 }
-_STATUSES_KEPT = 400  # that can come again, backwards
+_STATUSES_KEPT = 400  # for repeating them backwards
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong with the messages of a channel.
+    """One fault in the messages of a channel.
 
     | of | kind | what happens |
     | --- | --- | --- |
     | `status` | `stop` | the arm's status stops coming |
     | | `delay` | it comes `amount` seconds late |
-    | | `repeat` | the one of that time comes again and again, with new stamps |
-    | | `jump` | measured angles are `amount` rad larger than they are |
-    | | `back` | those before come again, backwards, with their old stamps |
-    | `pictures` | `stop`, `delay` | as above, of depth pictures |
-    | | `freeze` | the picture of that time comes again and again, with new stamps |
-    | | `zeros`, `nans`, `rubbish` | the rows of `band` hold no reading, no numbers, or anything |
-    | | `torn` | the rows of `band` are those of the picture before |
-    | `arm` | `refuse` | the arm hears no commands |
-    | `gripper` | `stuck` | the gripper hears no commands, and stays as it is |
+    | | `repeat` | the present one is repeated with new stamps |
+    | | `jump` | measured angles are `amount` rad too large |
+    | | `back` | earlier ones are repeated backwards, with their old stamps |
+    | `pictures` | `stop`, `delay` | as above, for depth pictures |
+    | | `freeze` | the present picture is repeated with new stamps |
+    | | `zeros`, `nans`, `rubbish` | the rows of `band` have no reading, NaN, or random bits |
+    | | `torn` | the rows of `band` are those of the previous picture |
+    | `arm` | `refuse` | the arm gets no commands |
+    | `gripper` | `stuck` | the gripper gets no commands and stays as it is |
 
     Attributes:
         of, kind: see the table.
-        amount: s or rad, where the table says so.
-        seconds: that it lasts.
-        after: s from when it is ordered until it begins.
-        band: share of a picture's rows, from and to.
+        amount: s or rad, where the table mentions it.
+        seconds: duration.
+        after: s from the order to the start.
+        band: first and last share of a picture's rows.
 
     Raises:
-        ValueError: an unknown fault, or a number that makes no sense.
+        ValueError: an unknown fault, or an invalid number.
     """
 
     of: str
@@ -84,19 +84,21 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.of not in KINDS:
-            raise ValueError(f"a fault is of {', '.join(KINDS)}, got {self.of!r}")
+            raise ValueError(f"fault: `of` must be one of {', '.join(KINDS)}, got {self.of!r}")
         if self.kind not in KINDS[self.of]:
-            raise ValueError(f"faults of {self.of} are {', '.join(KINDS[self.of])}, got {self.kind!r}")
+            raise ValueError(
+                f"fault: `kind` for {self.of} must be one of {', '.join(KINDS[self.of])}, got {self.kind!r}"
+            )
         if not (np.isfinite(self.amount) and self.seconds >= 0 and 0 <= self.after < np.inf):
             raise ValueError(f"{self}: amount must be finite, seconds and after must not be negative")
         if self.kind == "delay" and self.amount < 0:
-            raise ValueError(f"{self}: a message cannot come before it was sent; give amount in s")
+            raise ValueError(f"{self}: a message cannot come before it was sent; amount is negative")
         if not 0.0 <= self.band[0] < self.band[1] <= 1.0:
-            raise ValueError(f"{self}: band must be a part of 0 to 1")
+            raise ValueError(f"{self}: band must be an interval within 0 to 1")
 
     @property
     def channel(self) -> str:
-        """Whose messages it is about."""
+        """The channel whose messages it affects."""
         return _CHANNEL[self.of]
 
     def __str__(self) -> str:
@@ -106,31 +108,31 @@ class Fault:
 
 
 class Link:
-    """The way of one channel's messages, with at most one fault at a time.
+    """The path of one channel's messages, with at most one fault at a time.
 
-    Times are of one clock that does not go back, s.
+    Times are of one monotonic clock, s.
     """
 
     def __init__(self, channel: str) -> None:
         self._fault: Fault | None = None
         self._begin = np.inf
         self._sent: deque[bytes] = deque(
-            # Pictures are large; of them only the last one can come again.
+            # Pictures are large, so only the last one can be repeated.
             maxlen=_STATUSES_KEPT if channel == network.IIWA_STATUS else 1
         )
         self._frozen: bytes | None = None
         self._late: deque[tuple[float, bytes]] = deque()
 
     def order(self, fault: Fault, now: float) -> None:
-        """Let a fault begin in `fault.after` seconds, in the place of one before."""
+        """Start a fault in `fault.after` seconds, in place of any earlier one."""
         self._fault, self._begin, self._frozen = fault, now + fault.after, None
 
     def faulty(self, now: float) -> bool:
-        """Whether something is wrong now."""
+        """Whether a fault is active now."""
         return self._fault is not None and 0.0 <= now - self._begin < self._fault.seconds
 
     def through(self, data: bytes, now: float) -> bytes | None:
-        """What comes out, at once, of a message that goes in; None where nothing does."""
+        """The message that comes out at once when one goes in; None if nothing does."""
         if self.faulty(now):
             assert self._fault is not None
             return self._spoilt(self._fault, data, now)
@@ -138,7 +140,7 @@ class Link:
         return data
 
     def due(self, now: float) -> list[bytes]:
-        """Late messages whose time has come."""
+        """Delayed messages that are due."""
         come = []
         while self._late and self._late[0][0] <= now:
             come.append(self._late.popleft()[1])
@@ -168,9 +170,9 @@ class Relay:
     """Two connections and the links between them.
 
     Args:
-        cell: where the cell is.
-        driver: where what drives it is.
-        clock: gives the time, s; it does not go back.
+        cell: connection to the cell.
+        driver: connection to its driver.
+        clock: gives the time, s; monotonic.
     """
 
     def __init__(
@@ -184,11 +186,11 @@ class Relay:
                 heard.Subscribe(channel, partial(weakly(self._pass), channel))
 
     def order(self, fault: Fault) -> None:
-        """Let a fault begin."""
+        """Start a fault."""
         self._links[fault.channel][0].order(fault, self._clock())
 
     def flush(self) -> None:
-        """Pass on the late messages whose time has come; to be called often."""
+        """Pass on delayed messages that are due; call it often."""
         for channel, (link, other) in self._links.items():
             for data in link.due(self._clock()):
                 other.Publish(channel, data)
@@ -201,7 +203,7 @@ class Relay:
 
 
 class RelayProcess(Child):
-    """The relay in a process of its own; once `close` ended it, no message passes any more.
+    """The relay in a separate process; after `close` no message passes any more.
 
     Args:
         cell_url, driver_url: LCM addresses, see `network.open_lcm`.
@@ -211,12 +213,12 @@ class RelayProcess(Child):
         super().__init__("the relay between cell and test", _relay, cell_url, driver_url)
 
     def order(self, fault: Fault) -> None:
-        """Let a fault begin."""
+        """Start a fault."""
         self.write(json.dumps(asdict(fault)).encode() + b"\n")
 
 
 def _relay(cell_url: str, driver_url: str) -> None:
-    """Pass messages, and take faults from the standard input until that ends."""
+    """Pass messages on, and take faults from standard input until it ends."""
     cell, driver = network.open_lcm(cell_url), network.open_lcm(driver_url)
     relay = Relay(cell, driver, time.monotonic)
     source, said = sys.stdin.fileno(), b""
@@ -262,14 +264,14 @@ def _rows(image: Any) -> _Rows:
 
 
 def spoilt_rows(kind: str, rows: _Rows, before: _Rows, band: tuple[float, float], seed: int) -> _Rows:
-    """A depth picture some of whose rows are wrong.
+    """A depth picture with some wrong rows.
 
     Args:
         kind: `zeros`, `nans`, `rubbish` or `torn`.
         rows: (h, w) the picture, m.
-        before: (h, w) the picture before.
-        band: share of the rows, from and to.
-        seed: of the rubbish.
+        before: (h, w) the previous picture.
+        band: first and last share of the rows.
+        seed: of the random bits of `rubbish`.
     """
     come = np.array(rows, np.float32)
     first, last = (round(share * len(rows)) for share in band)

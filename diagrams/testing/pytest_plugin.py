@@ -1,6 +1,6 @@
 """The pytest plugin for scripted tests of a cell: options, marker and fixtures.
 
-Nothing heavy is imported before a test asks for a fixture.
+Heavy modules are imported only when a test uses a fixture.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """The cell that tests get."""
-    group = parser.getgroup("slipmap", "scripted tests of a robot's cell")
+    """Add the options that choose the cell for tests."""
+    group = parser.getgroup("slipmap", "scripted tests of a robot cell")
     group.addoption(
         "--cell", metavar="twin|lockstep|URL",
-        help="what tests drive: a twin in a process of its own, for each test a new one; a twin that steps"
-        " together with what drives it, which needs no real time; or the LCM address of a real cell"
+        help="the cell that tests drive: a twin in a separate process, a new one for each test; a twin that"
+        " steps in lockstep with its driver and needs no real time; or the LCM address of a real cell"
         " [default: the ini option slipmap_cell, or twin]",
     )  # fmt: skip
     group.addoption(
         "--cell-scenario", type=Path, metavar="FILE",
-        help="scenario that says what the cell is like; a real one needs it",
+        help="scenario of the cell; required for a real one",
     )  # fmt: skip
-    parser.addini("slipmap_cell", "what tests drive where --cell is not given", default="twin")
+    parser.addini("slipmap_cell", "the cell that tests drive if --cell is not given", default="twin")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The marker of tests that take minutes."""
+    """Register the marker of tests that take minutes."""
     config.addinivalue_line("markers", "twin: drives a cell for minutes")
 
 
 @pytest.fixture
 def scenario(pytestconfig: pytest.Config) -> Scenario:
-    """What the cell is like: that of --cell-scenario, else a small one. A test module overrides this fixture
-    to lay something else on the table."""
+    """The cell's scenario: that of --cell-scenario, else a small one. Override this fixture in a test module
+    to put something else on the table."""
     from slipmap.diagrams.station.scenario import ScenarioError, read_scenario
     from slipmap.diagrams.testing.cell import small_scenario
 
@@ -59,7 +59,7 @@ def scenario(pytestconfig: pytest.Config) -> Scenario:
 
 @pytest.fixture
 def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> Iterator[Cell]:
-    """The cell, with an object on its table; on a real one somebody is asked to lay it there."""
+    """The cell with an object on its table; for a real one, a person is asked to put it there."""
     from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
     from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, open_cell
 
@@ -70,7 +70,7 @@ def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> 
         except RendererUnavailable as reason:
             pytest.skip(str(reason))
     elif request.config.getoption("--cell-scenario") is None:
-        raise pytest.UsageError(f"--cell {where}: --cell-scenario FILE must say what that cell is like")
+        raise pytest.UsageError(f"--cell {where}: give that cell's scenario with --cell-scenario FILE")
     else:
         _ask_for(request, scenario)
     with open_cell(where, tmp_path, scenario, faulty="faults" in request.fixturenames) as opened:
@@ -79,13 +79,13 @@ def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> 
 
 @pytest.fixture
 def faults(cell: Cell) -> Faults:
-    """What is to go wrong with the cell's messages."""
+    """Faults to inject into the cell's messages."""
     return cell.faults
 
 
 @pytest.fixture
 def exploration() -> LoopOptions:
-    """How `explored` explores; override it for other numbers of pushes."""
+    """Options of `explored`; override this fixture for other numbers of pushes."""
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
 
     return LoopOptions(pushes=3, checks=1)
@@ -93,7 +93,7 @@ def exploration() -> LoopOptions:
 
 @pytest.fixture
 def explored(cell: Cell, exploration: LoopOptions) -> ExplorationRun:
-    """What the robot learned of the object on the table."""
+    """The robot's exploration of the object on the table."""
     return cell.explore(**vars(exploration))
 
 
@@ -108,9 +108,9 @@ def _where(config: pytest.Config) -> str:
 
 
 def _ask_for(request: pytest.FixtureRequest, scenario: Scenario) -> None:
-    """Have the object laid on a real table, and what the scenario hides be brought about."""
-    hidden = "" if scenario.hidden.is_null else f" and bring about {scenario.hidden}"
-    sentence = f"Lay the {scenario.object.called} on the table{hidden}, then press Enter."
+    """Ask a person to put the object on a real table and to set up the scenario's hidden effects."""
+    hidden = "" if scenario.hidden.is_null else f" and set up {scenario.hidden}"
+    sentence = f"Put the {scenario.object.called} on the table{hidden}, then press Enter."
     capture = request.config.pluginmanager.getplugin("capturemanager")
     assert capture is not None
     capture.suspend_global_capture(in_=True)
@@ -121,4 +121,4 @@ def _ask_for(request: pytest.FixtureRequest, scenario: Scenario) -> None:
     finally:
         capture.resume_global_capture()
     if hidden:
-        pytest.skip("nobody is at the terminal to bring about what the scenario hides")
+        pytest.skip("nobody is at the terminal to set up the scenario's hidden effects")

@@ -1,6 +1,6 @@
-"""Twins for tests: in a process of its own, and on the clock of the diagram that drives it.
+"""Twins for tests: in a separate process, and on the clock of the diagram that drives it.
 
-The latter has all messages and checks, but no real time.
+The latter has all messages and checks, but does not run in real time.
 """
 
 import os
@@ -32,15 +32,16 @@ from slipmap.models.physics.cell_grid import FloatArray
 class LockstepCell(PythonDiagram):
     """`HardwareInterface`, a relay, and the twin behind it, which step together.
 
-    It stands where `HardwareInterface` would and has its ports and methods. Messages go through memory. The
-    simulation takes the time that it takes; the result does not depend on how busy the computer is. What it
-    leaves out is what only real time brings: late messages of a busy computer, and processes that end.
+    It replaces `HardwareInterface` and has its ports and methods. Messages go through memory. The simulation
+    need not keep up with real time, so its result does not depend on how busy the computer is. It lacks only
+    what
+    real time brings: late messages on a busy computer, and processes that end.
 
     Args:
-        positions: of the plant, to begin with; those of the scenario if None.
+        positions: initial ones of the plant; those of the scenario if None.
 
     Raises:
-        ValueError, RendererUnavailable: as `Station`.
+        ValueError, RendererUnavailable: as for `Station`.
     """
 
     realtime_rate = 0.0
@@ -78,7 +79,7 @@ class LockstepCell(PythonDiagram):
         self._interface.connect(root, patience)
 
     def close(self) -> None:
-        """See `HardwareInterface.close`; nothing can be driven any more."""
+        """See `HardwareInterface.close`; the cell can no longer be driven."""
         self._interface.close()
         if self._root is not None:
             self._positions = self._now()
@@ -89,21 +90,21 @@ class LockstepCell(PythonDiagram):
         self._interface.abort()
 
     def order(self, fault: Fault) -> None:
-        """Let a fault begin."""
+        """Start a fault."""
         self._relay.order(fault)
 
     def log(self) -> CommandLog:
-        """All commands until now."""
+        """All commands so far."""
         return CommandLog.of(np.array(self._commands))
 
     @property
     def now(self) -> float:
-        """Time that was simulated, s."""
+        """Simulated time, s."""
         return self._clock.now
 
     @property
     def positions(self) -> FloatArray | None:
-        """Of the twin's plant, with which another one can go on; None before it was connected."""
+        """Positions of the twin's plant, from which another can continue; None before `connect`."""
         return self._positions if self._root is None else self._now()
 
     def _write_down(self, command: bytes) -> None:
@@ -120,7 +121,7 @@ class LockstepCell(PythonDiagram):
 
 
 class _Clock(PythonSystem):
-    """Shows the time of the diagram to those who are no part of it."""
+    """Exposes the diagram's time outside the diagram."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -135,10 +136,10 @@ class _Clock(PythonSystem):
 
 
 class TwinProcess(Child):
-    """The process; `close` ends it. It says on the standard error whether it keeps up with real time.
+    """The twin's process; `close` ends it. It reports on standard error whether it keeps up with real time.
 
     Args:
-        folder: in which the scenario is left for it.
+        folder: in which the scenario is stored for it.
     """
 
     def __init__(self, scenario: Scenario, folder: Path) -> None:
@@ -149,7 +150,7 @@ class TwinProcess(Child):
 
 
 def free_url() -> str:
-    """An LCM address that nobody uses, whose messages stay on this computer."""
+    """An unused LCM address whose messages stay on this computer."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return f"udpm://239.255.76.67:{probe.getsockname()[1]}?ttl=0"

@@ -87,7 +87,7 @@ def test_a_push_is_on_the_disk_and_all_messages_in_the_log(recorded):
 
 def test_lines_tell_what_is_heard_and_which_push_is_kept(recorded):
     text = "\n".join(recorded.told)
-    assert "3 messages were left out" in text
+    assert "3 messages were dropped" in text
     assert "the object is seen" in text
     assert "push 1 is kept" in text
     assert "IIWA_STATUS 201 Hz" in hearing(recorded.listener)  # junk was heard, too
@@ -166,8 +166,8 @@ def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_p
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"no log at all, but long enough for a header", "is no LCM log"),
-        (b"", "holds no push: no good message came on IIWA_STATUS"),
+        (b"no log at all, but long enough for a header", "is not an LCM log"),
+        (b"", "holds no push: no valid message came on IIWA_STATUS"),
         (
             Event(0, 1, "CAMERA_DEPTH", b"x" * 50).encode() + b"x" * 60,
             "is damaged after 1 messages, at byte 90",

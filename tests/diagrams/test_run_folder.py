@@ -133,7 +133,7 @@ def test_a_run_that_was_cut_off_is_not_overwritten_and_one_that_ended_may_be(who
     record = recorded(tmp_path, whole, 2)
     with pytest.raises(BadInput) as told:
         ExplorationFolder(tmp_path, scenario(), OPTIONS)
-    assert "cut off, with pushes recorded: 2" in said(told) and f"--resume {tmp_path}" in said(told)
+    assert "interrupted run with pushes recorded: 2" in said(told) and f"--resume {tmp_path}" in said(told)
     record.end()
     recorded(tmp_path, whole, 1)
     assert len(read_dataset(tmp_path / PUSHES).trials) == 1
@@ -177,7 +177,7 @@ def test_a_disk_that_is_full_before_the_push_is_over_is_told_alike(whole, tmp_pa
     with monkeypatch.context() as patch, pytest.raises(BadInput) as told:
         patch.setattr("os.replace", full)
         record.note(1, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})
-    for words in (f"{UNDER_WAY}: the disk is full; make room", "the push before is kept", "--resume"):
+    for words in (f"{UNDER_WAY}: the disk is full; make room", "the earlier push is kept", "--resume"):
         assert words in said(told)
     assert len(resumed(tmp_path)[2].trials) == 1
 
@@ -194,8 +194,8 @@ def test_a_full_disk_names_the_file_and_says_how_to_go_on(whole, tmp_path, monke
         patch.setattr(recording.os, "fsync", full)
         record.keep(part(whole, 3))
     assert calls
-    for words in ("trials/002.json: the disk is full; make room", "the 2 pushes before are kept", "--resume"):
-        assert words in said(told)
+    words = ("trials/002.json: the disk is full; make room", "the 2 earlier pushes are kept", "--resume")
+    assert all(word in said(told) for word in words)
     assert len(resumed(tmp_path)[2].trials) == 2
 
 
@@ -298,7 +298,7 @@ def test_pushes_that_no_earlier_run_left_are_not_replaced(slipmap, whole, tmp_pa
     before = contents(tmp_path)
     told = slipmap(command, "--out", tmp_path, "--pushes", 1)
     assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
-    assert f"{tmp_path / PUSHES}: is not of an earlier run of `slipmap {command}`" in told.err
+    assert f"{tmp_path / PUSHES}: is not from a finished earlier run of `slipmap {command}`" in told.err
     assert "choose another folder with --out" in told.err
     assert contents(tmp_path) == before
 
@@ -321,7 +321,7 @@ def test_a_run_of_one_command_does_not_give_way_to_another(whole, tmp_path):
         (PregraspFolder, "explored"),
         (lambda f, s: ExplorationFolder(f, s, OPTIONS), "taken"),
     ):
-        with pytest.raises(BadInput, match="is not of an earlier run"):
+        with pytest.raises(BadInput, match="is not from a finished earlier run"):
             kind(tmp_path / folder, scenario())
 
 
@@ -341,7 +341,7 @@ def test_pushes_of_the_robot_are_lost_to_no_other_command(slipmap, whole, tmp_pa
     recorded(tmp_path, whole, 2).end()
     before = contents(tmp_path)
     told = slipmap(*command, tmp_path)
-    assert told.code == 2 and f"{tmp_path}: holds a run of the robot's cell" in told.err
+    assert told.code == 2 and f"{tmp_path}: holds a run of the robot cell" in told.err
     assert contents(tmp_path) == before
 
 

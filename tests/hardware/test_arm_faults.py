@@ -145,7 +145,7 @@ def test_a_status_that_repeats_itself_stops_the_arm_as_soon_as_it_should_have_mo
 
 def test_a_status_that_leaps_stops_the_arm_at_once():
     log = run(AT + 0.2, link=StatusLink("jump", AT, 0.2))
-    assert "status leaps: iiwa_joint" in held(log, AT, 2 * PERIOD + REST).cause
+    assert "status jumps: iiwa_joint" in held(log, AT, 2 * PERIOD + REST).cause
 
 
 def test_a_status_that_goes_back_in_time_is_dropped_and_counts_as_late():
@@ -161,13 +161,13 @@ def test_a_wanted_position_that_leaps_or_is_no_number_becomes_a_hold(at, home, l
     """The arm does not go there, not by one step."""
     log = run(at + 0.3, home=home, before_guard=Wish(at, leap=leap))
     health = held(log, at, REST + PERIOD)
-    assert ("leaps: iiwa_joint_1" if np.isfinite(leap) else "no number") in health.cause
+    assert ("jumps: iiwa_joint_1" if np.isfinite(leap) else "not a number") in health.cause
     assert smooth(log, health.time)
 
 
 def test_a_wanted_position_that_creeps_to_a_joints_limit_stops_short_of_it():
     log = run(1.8, push=None, before_guard=Wish(0.1, creep=1.2))
-    assert "iiwa_joint_1 comes near its limit" in held(log, health_time(log), 0.05).cause
+    assert "iiwa_joint_1 comes too near its limit" in held(log, health_time(log), 0.05).cause
     margin = POSITION_LIMITS[0] - np.abs(log.commands[:, 0]).max()
     assert GuardSettings().joint_margin - 1e-9 <= margin < GuardSettings().joint_margin + 0.01
 
@@ -252,7 +252,7 @@ def test_a_status_that_is_no_number_stops_the_arm(name):
     block = Driven()
     assert block.health(0.1).ok
     health = block.health(0.01, **{name: np.full(7, np.nan)})
-    assert "no number" in health.cause
+    assert "not a number" in health.cause
     assert np.isfinite(block.block.read("iiwa.position")).all()
 
 

@@ -144,7 +144,7 @@ def test_pushes_without_effect_lead_to_other_goals_and_then_to_an_end(monkeypatc
     assert {id(made.goal) for made in ended.pushes} == {id(goal) for goal in goals}
     assert "given up after 2 pushes" in ended.reason
     ended = push_to_goal(world, belief, goals, replace(QUICK, pushes=3), rng())
-    assert ended.reason == "no goal was reached with 3 pushes"
+    assert ended.reason == "no goal was reached in 3 pushes"
 
 
 def test_waypoints_are_followed_from_the_nearest_and_dropped_when_passed(monkeypatch):

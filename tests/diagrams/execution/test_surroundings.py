@@ -91,7 +91,7 @@ def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
 
 
 def test_what_is_too_high_for_the_arm_is_not_pushed(kinematics):
-    with pytest.raises(MotionRefused, match="to the object, the table or itself, of which 5 mm are kept"):
+    with pytest.raises(MotionRefused, match="to the object, the table or itself; it must keep 5 mm"):
         ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, surroundings(height=0.4))
 
 

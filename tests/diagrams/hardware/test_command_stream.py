@@ -130,7 +130,7 @@ def test_the_process_sends_what_it_is_told_and_ends_with_its_input():
         ("udpm://239.255.76.67", "must look like"),
         ("tcpq://localhost:7000", "must look like"),
         ("udpm://239.255.76.67:7667?ttl=x", "whole numbers"),
-        ("udpm://239.255.76.67:7667?transmit_only=true", "may stand"),
+        ("udpm://239.255.76.67:7667?transmit_only=true", "the only options"),
         ("udpm://10.0.0.1:7667", "multicast"),
     ],
 )

@@ -42,7 +42,7 @@ def test_a_log_that_is_cut_off_anywhere_gives_what_comes_before():
 
 @pytest.mark.parametrize("data", [b"PK\x03\x04 and more than one header", b"{}", b"\x00" * 100])
 def test_files_that_are_no_logs_are_told_with_what_is_wanted(data):
-    with pytest.raises(BadLog, match=r"some.lcmlog: is no LCM log; give one that `slipmap record --log`"):
+    with pytest.raises(BadLog, match=r"some.lcmlog: is not an LCM log; give one written by `slipmap record"):
         events(data)
 
 
@@ -74,5 +74,5 @@ def test_a_length_that_cannot_be_is_not_believed():
     """Four bytes must not make the reader ask for four gigabytes."""
     data = bytearray(WHOLE)
     data[24:28] = b"\xff\xff\xff\xff"
-    with pytest.raises(BadLog, match="numbers that cannot be"):
+    with pytest.raises(BadLog, match="impossible numbers"):
         events(bytes(data))

@@ -193,7 +193,7 @@ def test_friction_factor_by_place() -> None:
         ("table_tilt", TableTilt(down_x=3.0), "at most 0.5"),
         ("tether", Tether(stiffness=-1.0), r"Tether\.stiffness must be finite and not negative"),
         ("tether", Tether(stiffness=1e8), r"Tether\.stiffness: too stiff"),
-        ("viscous_friction", ViscousFriction(1e6), r"ViscousFriction\.drag_per_area: too much"),
+        ("viscous_friction", ViscousFriction(1e6), r"ViscousFriction\.drag_per_area: too large"),
         ("table_friction_field", TableFrictionField(patch_radius=-0.1), "patch_radius"),
     ],
 )

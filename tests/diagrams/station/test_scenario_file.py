@@ -154,8 +154,8 @@ def test_a_typo_is_told_by_its_full_name(read, text, named):
         ("camera: {width: 640.5}", "camera.width", "a whole number", "640.5"),
         ("camera: {position: 0.1}", "camera.position", "a list", "0.1"),
         ("camera: {position: [0.1, left]}", "camera.position[1]", "a number", "'left'"),
-        ("object: {name: 7}", "object.name", "a text", "7"),
-        ("object: {mesh: [a]}", "object.mesh", "a text", "['a']"),
+        ("object: {name: 7}", "object.name", "text", "7"),
+        ("object: {mesh: [a]}", "object.mesh", "text", "['a']"),
         ("object: {mass: heavy}", "object.mass", "a number", "'heavy'"),
         ("object: {masses: [1.0]}", "object.masses", "names and values", "[1.0]"),
         ("object: {masses: {'1': heavy}}", "object.masses.1", "a number", "'heavy'"),
@@ -231,8 +231,8 @@ def test_what_is_no_yaml_is_named(read, text):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("camera: {rate: 9}\ntable: {}\ncamera: {rate: 5}", "camera stands in line 1 and again in line 3"),
-        ("camera:\n  height: 1.0\n  height: 0.9", "camera.height stands in line 2 and again in line 3"),
+        ("camera: {rate: 9}\ntable: {}\ncamera: {rate: 5}", "camera is given in line 1 and again in line 3"),
+        ("camera:\n  height: 1.0\n  height: 0.9", "camera.height is given in line 2 and again in line 3"),
     ],
 )
 def test_a_key_that_stands_twice_is_told_with_its_lines(read, text, told):
@@ -276,12 +276,12 @@ def test_recorded_pushes_bear_the_objects_name(tmp_path):
         ("object: {pose: [5.0, 0.0, 0.0]}", ["object.pose", "x = 5 m", "does not lie on the table", "0.5 m"]),
         ("object: {pose: [0.4, 0.0, 0.0]}", ["does not lie on the table"]),
         ("{object: {pose: [0.0, 0.3, 0.0]}, table: {shape: rectangle}}", None),
-        ("{object: {pose: [0.0, 0.4, 0.0]}, table: {shape: rectangle}}", ["1.2 m by 0.8 m"]),
+        ("{object: {pose: [0.0, 0.4, 0.0]}, table: {shape: rectangle}}", ["sides of 1.2 m and 0.8 m"]),
         ("{object: {name: box}, execution: {safe_height: 0.08}}", ["box is 0.070 m high", "0.060 m"]),
         ("execution: {tip_height: 0.05}", ["tip_height is 0.05 m", "hammer is 0.0", "would pass over it"]),
         ("hidden: {table_tilt: {down_x: 0.3, down_y: 0.3}}", ["hammer slides off by itself", "23.6°"]),
-        ("{object: {pose: [0.0, 0.25, 0]}, camera: {fov_y: 0.4}}", ["not whole in the picture", "y = 0.25"]),
-        ("camera: {position: [1.0, 0.0]}", ["not whole in the picture", "about (1, 0) m"]),
+        ("{object: {pose: [0.0, 0.25, 0]}, camera: {fov_y: 0.4}}", ["not wholly in the picture", "y = 0.25"]),
+        ("camera: {position: [1.0, 0.0]}", ["not wholly in the picture", "about (1, 0) m"]),
         ("{object: {name: box}, camera: {height: 0.3, fov_y: 1.5}}", None),
         ("{object: {name: box}, camera: {height: 0.3, fov_y: 2.5}, execution: {safe_height: 0.2}}", None),
     ],

@@ -214,7 +214,7 @@ def test_a_diagnosis_that_fails_is_told_and_the_robot_goes_on(monkeypatch, effec
         ((0.030, 0.020), 0.010, "drops", "2 pushes ended 25.0 mm off on average; without, 10.0 mm."),
         # The first push does not tell, being about as far off with the effect as without.
         ((0.0105, 0.030), 0.010, "drops", "1 push ended 30.0 mm off on average; without, 10.0 mm."),
-        ((0.0105, 0.0105), 0.010, "keeps", "10.5 mm off on average; without, 10.0 mm. They do not tell."),
+        ((0.0105, 0.0105), 0.010, "keeps", "10.5 mm off on average; without, 10.0 mm. That decides nothing."),
     ],
 )
 def test_an_adopted_effect_has_to_lower_the_error_of_the_next_pushes(

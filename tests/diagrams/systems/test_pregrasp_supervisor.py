@@ -105,7 +105,7 @@ def test_a_gripper_that_is_stuck_open_holds_nothing():
     loop.set(**{"gripper.state_measured": [0.094, 0.0]})
     loop.advance(HOLD + PERIOD)
     assert loop.read("status").mode == "failed"
-    assert "did not close: there are 78 mm between its pins" in loop.read("status").reason
+    assert "did not close: its pins are 78 mm apart" in loop.read("status").reason
 
 
 @pytest.mark.parametrize("when", ["planning", "pushing", "grasping", "holding"])

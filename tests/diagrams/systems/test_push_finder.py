@@ -150,7 +150,7 @@ def test_an_arm_that_falls_silent():
     cell.advance(2 * PERIOD)
     assert cell.modes == ("looking", "approaching")
     cell.up()
-    assert "the arm said nothing for 0.2" in refused(cell)
+    assert "the arm sent nothing for 0.2" in refused(cell)
     assert GAP < 0.2
 
 

@@ -42,11 +42,11 @@ def test_speeds_are_told_from_stamps_whatever_is_missing():
 
 def test_limits_of_joints_and_finger():
     assert_limits_kept([log(0.99)], GuardSettings())
-    with pytest.raises(AssertionError, match=r"iiwa_joint_7 was asked for 1\.01 times"):
+    with pytest.raises(AssertionError, match=r"iiwa_joint_7 was commanded to 1\.01 times"):
         assert_limits_kept([log(0.5), log(1.01)], GuardSettings())
     fast = log(0.9, joint=0)
     assert fast.tip_speeds.max() == pytest.approx(fast.tip_speeds.min(), rel=1e-3)  # on a circle
-    with pytest.raises(AssertionError, match="the finger was asked for"):
+    with pytest.raises(AssertionError, match="the finger was commanded to"):
         assert_limits_kept([fast], GuardSettings(tip_speed=0.9 * fast.tip_speeds.max()))
     with pytest.raises(AssertionError, match="no commands"):
         assert_limits_kept([CommandLog.of(np.zeros((0, 8)))], GuardSettings())
