@@ -223,7 +223,7 @@ def diagnose(
         _diagnose_together(datasets, effects, apart, seed, object_name, json_file)
         return
     if apart:
-        raise BadInput("--apart says what several datasets do not share; give two datasets or more")
+        raise BadInput("--apart says what several datasets do not share; give two or more")
     (dataset,) = datasets
     where = str(dataset)
     with Progress() as progress:

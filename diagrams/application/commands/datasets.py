@@ -33,7 +33,7 @@ def check(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Check recorded pushes for faults, and say what they can reveal.
+    """Check recorded pushes for faults, and what they can reveal.
 
     Checks sampling rates, gaps, clocks, contact and forces of DATASET, and which places, directions and
     speeds its pushes cover. Learns nothing. Exit code 1 if a finding would make results wrong.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @options.count_option("--heldout-pushes", least=0, most=100, default=4, about="Pushes to judge with.")
 @options.json_option
 def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
-    """Run the whole pipeline on a simulated hammer; needs no data.
+    """Run the whole pipeline on a simulated hammer, without data.
 
     Pushes a hammer with a steel head and a wooden handle at random, records the pushes with sensor noise as
     a push dataset, identifies the maps from that alone, and compares the belief with the truth.

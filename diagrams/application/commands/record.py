@@ -210,7 +210,7 @@ def _new_log(path: Path) -> Iterator[EventLog]:
 @cell_run.scenario_option
 @cell_run.station_object_option
 def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
-    """Simulate a robot's cell that exchanges the messages of a real one.
+    """Simulate a robot's cell with the messages of a real one.
 
     The simulated arm, gripper and camera send and receive LCM messages in real time like the drivers of an
     iiwa, a Schunk gripper and a depth camera, so `slipmap explore --hardware` in another process sees no
