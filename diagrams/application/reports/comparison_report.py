@@ -358,8 +358,9 @@ def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
         picture(correlation_figure(comparisons), "Correlations over lags", wide=True)
         + f"<p>Left: autocorrelation of the pose residual. {escape(memory)} Middle and right: correlation"
         " of the residual with the finger's velocity, along it"
-        f" ({along}, p {words.p_text(found.finger_along.p)}) and to its left ({left}, p {words.p_text(found.finger_left.p)}). A negative correlation along the"
-        " velocity means that measured poses trail behind.</p>"
+        f" ({along}, p {words.p_text(found.finger_along.p)}) and to its left"
+        f" ({left}, p {words.p_text(found.finger_left.p)}). A negative correlation along the velocity means"
+        " that measured poses trail behind.</p>"
         '<p class="note">The bands contain 95 % of chance results at all lags together: pairs of different'
         " pushes for the left picture, random signs of whole pushes for the others. These two p-values are"
         " exploratory; only the tests above are corrected together.</p>"

@@ -80,7 +80,7 @@ def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
     ]  # fmt: skip
     assert "40.0 %" in titles[1]
     labels = {axes.get_ylabel() for axes in figure.axes}
-    assert {"g a cell", "N a cell"} <= labels
+    assert {"g per cell", "N per cell"} <= labels
 
 
 def test_neither_a_cell_nor_a_map_leaves_all_others_pale():

@@ -123,7 +123,7 @@ def test_of_the_model_itself_nothing_is_named(
     assert found["defects"] == found["explained"] == found["remedies"] == []
     assert found["price_mm"] < 0.1 and found["step"] == 4e-3
     said = capsys.readouterr().out
-    assert "Nothing is named" in said and "mm from Coulomb's law" in said
+    assert "No defect was found" in said and "mm from Coulomb's law" in said
     assert "<svg" not in page.read_text() and "data:image/svg+xml" in page.read_text()
 
 

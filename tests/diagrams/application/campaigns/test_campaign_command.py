@@ -231,7 +231,7 @@ def test_some_methods_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize(
-    ("figure", "told"), [("fig7", "choose among probabilistic"), ("fig5", "this experiment has none")]
+    ("figure", "told"), [("fig7", "choose one of probabilistic"), ("fig5", "this experiment has neither")]
 )
 def test_a_method_that_is_not_there_is_told(
     figure: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
