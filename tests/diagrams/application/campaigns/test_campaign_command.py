@@ -152,7 +152,7 @@ def test_the_whole_procedure_stands_beside_the_papers(
     assert document["fates"]["uniform"] == {"held": 1, "dropped": 1}
     assert _lines(capsys.readouterr().out, "paper")[0].split()[1:] == ["100", "80", "30", "–"]
     assert run(["campaign", "fig7", "--truth", "bullet", "-o", str(tmp_path)]) == 2
-    assert "plant alone" in capsys.readouterr().err
+    assert "only plant simulates" in capsys.readouterr().err
 
 
 def test_every_experiment_is_found_by_its_name() -> None:
