@@ -186,7 +186,7 @@ class World:
 
 
 def _surface(mu: float) -> ProximityProperties:
-    """Contact properties. Drake combines equal coefficients to 2 μ μ / (μ + μ) = μ, and halves stiffnesses."""
+    """Contact properties; Drake combines equal coefficients to 2 μ μ / (μ + μ) = μ, and halves stiffness."""
     properties = ProximityProperties()
     AddContactMaterial(
         properties=properties,
