@@ -130,7 +130,7 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
             raise BadInput(f"engine {spec}: there is no setting {setting!r}; there are {', '.join(known)}")
     if importlib.util.find_spec(_module(engine)) is None:
         extra = "slipmap" if engine.package == "drake" else "slipmap[bench]"
-        raise BadInput(f"engine {spec}: {engine.package} is not installed; install it with `pip install '{extra}'`")
+        raise BadInput(f"engine {spec}: {engine.package} is not installed; use `pip install '{extra}'`")
     module, _, name = engine.where.partition(":")
     kind = getattr(import_module(f"{__package__}.{module}"), name)
     return type(name, (kind,), chosen)

@@ -37,7 +37,7 @@ def test_a_machine_that_cannot_render_is_told_what_to_install():
 
 
 def test_lcm_is_not_needed_but_told():
-    found = findings({"DrakeLcm": "AssertionError: what was sent was not heard"})["LCM by multicast"]
+    found = findings({"DrakeLcm": "AssertionError: the message sent was not received"})["LCM by multicast"]
     assert not found.needed and not found.ok
     assert "not heard" in found.found and "ip route add 224.0.0.0/4 dev lo" in found.remedy
 

@@ -201,6 +201,6 @@ def test_an_unknown_engine_or_setting_is_refused(spec: str, said: str) -> None:
 
 def test_an_engine_that_is_not_installed_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"pybullet is not installed; install it with `pip .*'slipmap\[bench\]'`"):
+    with pytest.raises(BadInput, match=r"pybullet is not installed; use `pip install 'slipmap\[bench\]'`"):
         engines.find_engine("bullet:pyramid")
     assert engines.installed() == []
