@@ -110,29 +110,29 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
         return result if isinstance(result, int) else SUCCESS
     except (click.Abort, KeyboardInterrupt):
-        return _told(_STOPPED, STOPPED)
+        return _report(_STOPPED, STOPPED)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "slipmap"
         said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
-        return _told(f"{said} See `{path} --help`.", WRONG_USE)
+        return _report(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
-        return _told(error.format_message(), error.exit_code)
+        return _report(error.format_message(), error.exit_code)
     except BadInput as error:
-        return _told(str(error), WRONG_USE)
+        return _report(str(error), WRONG_USE)
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            return _told("cannot write the output: the disk is full; make room", WRONG_USE)
+            return _report("cannot write the output: the disk is full; make room", WRONG_USE)
         # Comes from wherever a path is first used, for reading or for writing.
         if error.errno == errno.ENAMETOOLONG:
             said = f"the name {error.filename} is too long for this disk; choose a shorter one"
-            return _told(said, WRONG_USE)
+            return _report(said, WRONG_USE)
         return _leads_nowhere(error) if error.errno == errno.ELOOP else _internal(error)
     except Exception as error:
         if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Path.resolve()
             return _leads_nowhere(error)
         if _comes_of_ctrl_c(error):
-            return _told(_STOPPED, STOPPED)
-        return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
+            return _report(_STOPPED, STOPPED)
+        return _report(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
 
 
 def _comes_of_ctrl_c(error: BaseException | None) -> bool:
@@ -171,14 +171,14 @@ def _sentence(text: str) -> str:
 
 
 def _leads_nowhere(error: Exception) -> int:
-    return _told(f"a symbolic link leads back to itself ({error}); name the file itself", WRONG_USE)
+    return _report(f"a symbolic link leads back to itself ({error}); name the file itself", WRONG_USE)
 
 
 def _internal(error: Exception) -> int:
     place = traceback.extract_tb(error.__traceback__)[-1]
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
-    return _told(
+    return _report(
         f"internal failure, {type(error).__name__} in {os.path.basename(place.filename)}, line"
         f" {place.lineno}: {_one_paragraph(str(error))}. This is a fault of slipmap, not of your input;"
         f" please report it with the full traceback, which setting {TRACEBACK}=1 in the environment shows.",
@@ -186,7 +186,7 @@ def _internal(error: Exception) -> int:
     )
 
 
-def _told(message: str, code: int) -> int:
+def _report(message: str, code: int) -> int:
     note(f"slipmap: {message}")
     return code
 

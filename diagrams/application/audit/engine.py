@@ -304,7 +304,7 @@ def plain_scene() -> EngineScene:
 
 
 def two_material_scene() -> EngineScene:
-    """A light rough leg on a heavy smooth foot."""
+    """An L with a light rough leg on a heavy smooth foot."""
     grid = cells_from_polygon(OUTLINE, count=_CELLS)
     leg = grid.centers[:, 1] > _FOOT_ABOVE + 1e-6
     return EngineScene(grid, np.where(leg, 0.014, 0.034), np.where(leg, 0.5, 0.28), MU_FINGER, FINGER_RADIUS)

@@ -180,7 +180,7 @@ def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool = False) -> Scenario:
-    """The scenario of a file, if any, with another object, if any.
+    """The scenario of a file or the default one, with another object if given.
 
     Args:
         simulated: whether a simulated arm will push that object.

@@ -34,13 +34,13 @@ _OUTLINES = (
 _HEAD, _FOOT, _SIDE, _GAP, _TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
 _NARROWEST_PAGE = 8.4  # inches; heading and legend need as much
 _NEAR = 1.2
-"""The finger's path is drawn as far as it lies within so many object sizes of the object's way."""
+"""Largest distance from the object's path at which the finger's path is drawn, in object sizes."""
 
 _MEANING_OF_ADD = "ADD: mean distance between the cells as predicted and as measured at the end of the push"
 
 # Of the figure of errors.
 _WIDTH = 8.0  # inches
-_LEGEND_COLUMNS, _LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
+_LEGEND_COLUMNS, _LEGEND_ROW = 3, 0.2  # columns where one row is not enough; inches
 _LETTER = 0.07  # inches, of a push's name
 _MOST_NAMES = 40
 
@@ -51,7 +51,7 @@ class _Scene:
 
     push: Prediction  # measured and predicted poses
     start: FloatArray  # (3,) first measured pose
-    # sample at which the object has gone half of its way, or None where only the end was measured
+    # sample half-way along the object's path, or None where only the end was measured
     middle: int | None
     finger: FloatArray  # (k, 2) path of the finger near the object, m
     low: FloatArray  # (2,) lower corner of all this, m

@@ -114,7 +114,7 @@ def table(
 
     Args:
         numbers: columns to align on the right.
-        marked: for each row whether it is to stand out.
+        marked: for each row, whether it is highlighted.
         caption: sentence above it.
     """
     kinds = [' class="number"' if k in numbers else "" for k in range(len(columns))]

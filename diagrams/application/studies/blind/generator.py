@@ -39,7 +39,7 @@ from slipmap.models.geometry import placed
 
 _RATE = 100.0  # Hz
 _NOISE = {"position": 2.5e-4, "angle": float(np.radians(0.15)), "tip": 5e-5, "force": 0.05}  # SI
-_DROPOUTS = 0.005  # share of rows that a sensor loses; their values are NaN
+_DROPOUTS = 0.005  # share of rows that a sensor loses, with values NaN
 _SHARE_NONE, _SHARE_OUTSIDE, _SHARE_WEAK = 0.3, 0.2, 0.35
 _LEAST_MOVED = 0.01  # m
 _TRIES = 6

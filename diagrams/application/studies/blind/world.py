@@ -247,7 +247,7 @@ def _bristle_wrench(
     twist: FloatArray,
     h: float,
 ) -> tuple[float, float, float]:
-    """Move the bristles on by one step and sum up their forces.
+    """Advance the bristles by one step and sum their forces.
 
     All vectors in the object frame.
 
