@@ -118,7 +118,7 @@ def surprises(pushes: Sequence[Prediction]) -> Surprises:
     )
     if len(found) > 1:
         also = _listed_names([short_name(push.trial) for push in found[1:]])
-        text += f" {also} also surprised: {len(found)} of {count} pushes ended outside their 95 % regions."
+        text += f" In all, {len(found)} of {count} pushes ended outside their 95 % regions (also {also})."
     if not beyond:
         text += (
             f" With a correct model, {max(1.0, (1.0 - LEVEL_INSIDE) * count):.0f} of {count} pushes may end"

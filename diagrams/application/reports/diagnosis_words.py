@@ -281,9 +281,9 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
         numbers=(1, 2, 3),
     )
     table(
-        "Locked pushes of each dataset: error at the end without and with the answer (ADD, mean distance of"
-        " the object's points), fall of their cost, and parameters fitted to this dataset alone",
-        ["dataset", "open", "locked", "without, mm", "with, mm", "fall, nats", "fitted alone"],
+        "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
+        " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone",
+        ["dataset", "open", "locked", "without", "with", "fall", "fitted alone"],
         [_row(one) for one in diagnosis.datasets],
         numbers=(1, 2, 3, 4, 5),
     )

@@ -52,7 +52,7 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str |
                 numbers = [average([getattr(push, of) for push in group]) for of in _MEASURES]
                 rows.append([f"{len(group)} {name}", label, *map(_millimetres, numbers)])
     table(
-        "Error at the end of a push, mm (ADD: mean distance between predicted and measured cells)",
+        "Error at the end of a push, mm (ADD: mean distance of the cells)",
         ["pushes", "", "this belief", "uniform object", "object does not move"],
         rows,
         numbers=(2, 3, 4),
@@ -119,8 +119,8 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:
         found.append(
-            f"A uniform object predicts held-out pushes about as well ({1e3 * uniform:.1f} mm; the"
-            f" belief {1e3 * errors.mean():.1f} mm): these pushes hardly test the maps."
+            f"Held-out pushes hardly test the maps: a uniform object predicts them about as well or better"
+            f" ({1e3 * uniform:.1f} mm; the belief {1e3 * errors.mean():.1f} mm)."
         )
     return found
 
@@ -169,8 +169,8 @@ def show_comparison(results: Sequence[Comparison]) -> None:
     if first.floor is not None:
         floor = f"; noise floor {phrases.millimetres(first.floor.add)} mm ({first.floor.source})"
     table(
-        f"Mean errors; end and average: mean distance between predicted and measured cells (ADD){floor}",
-        ["pushes", "end, mm", "average, mm", "position, mm", "angle, °", "fit, %", "force, %"],
+        f"Mean errors, mm (end and average: ADD, the mean distance of the cells){floor}",
+        ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
         rows,
         numbers=range(1, 7),
     )
@@ -186,7 +186,7 @@ def _show_patterns(result: Comparison, head: str) -> None:
     ]
     tests = len(result.structure)
     table(
-        f"What the remaining error depends on{head}: the most significant of {tests} tests (* significant)",
+        f"What the remaining error depends on{head}: strongest of {tests} tests (* significant)",
         ["error in", "depends on", "size", "p"],
         [
             [
@@ -215,7 +215,7 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
     """
     condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"
     for by_pushes, title in (
-        (True, f"{condition} by these pushes (interval less than half as wide as without them), or given"),
+        (True, f"{condition} by these pushes (interval under half as wide as without them), or given"),
         (False, "Left open by these pushes: the prior decides"),
     ):
         rows = [

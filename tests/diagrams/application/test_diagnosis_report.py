@@ -199,7 +199,7 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
         "7.3 standard deviations",
     ):
         assert fact in page.text
-    assert dict(push_facts(PUSH))["rest half-way"] == "0.5 s"
+    assert dict(push_facts(PUSH))["pause half-way"] == "0.5 s"
     assert "rest half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
     show_diagnosis(told, dataset, EFFECTS)
     out = capsys.readouterr().out

@@ -256,7 +256,7 @@ def test_as_many_surprises_as_chance_has_send_nobody_to_diagnose():
 def test_a_belief_no_better_than_a_uniform_object_is_told():
     held = [prediction(role="heldout", final_add=0.004, uniform_add=0.0045) for _ in range(3)]
     (said,) = doubts(held, recorded_by(Noise()))
-    assert "4.5 mm, the belief 4.0 mm" in said
+    assert "4.5 mm; the belief 4.0 mm" in said
     better = [prediction(role="heldout", final_add=0.004, uniform_add=0.0055) for _ in range(3)]
     assert doubts(better, recorded_by(Noise())) == []
 
