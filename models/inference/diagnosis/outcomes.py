@@ -110,9 +110,9 @@ def without_those_objected_to(
 def far_off(base: Fitted, misfit: float) -> Outcome:
     """Nothing gains enough, but predictions are far off; `misfit` is that of the typical push."""
     sentence = (
-        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensors' noise. But no effect"
-        " that was tried explains that; something else is wrong: frames, clocks or units of the sensors, or"
-        " the object's outline. What reading warns of comes first."
+        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensor noise, and no effect"
+        " that was tried explains this. The cause may be an effect outside the library, the object's outline"
+        " or the recording; start with any warnings that were given when the dataset was read."
     )
     return Outcome("undecided", sentence, base)
 
