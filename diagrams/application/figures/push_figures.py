@@ -36,7 +36,9 @@ _NARROWEST_PAGE = 8.4  # inches; heading and legend need as much
 _NEAR = 1.2
 """Largest distance from the object's path at which the finger's path is drawn, in object sizes."""
 
-_MEANING_OF_ADD = "ADD: mean distance between predicted and measured cells at the end; spread: of the hypotheses"
+_MEANING_OF_ADD = (
+    "ADD: mean distance between predicted and measured cells at the end; spread: of the hypotheses"
+)
 
 # Of the figure of errors.
 _WIDTH = 8.0  # inches
