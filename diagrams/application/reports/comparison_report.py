@@ -60,7 +60,7 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
-    title = f"{dataset.name}: model against measurement"
+    title = f"{dataset.name}: model and measurement"
     headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
     lead = [text for text in (others, *words.findings(comparisons)) if text]
     return page(title, subtitle, lead, sections, headline + dot.rstrip())
@@ -109,7 +109,7 @@ def _error_section(comparisons: Sequence[Comparison]) -> Section:
         + numbers
         + _floor(first)
     )
-    return Section("errors", "How far off", body)
+    return Section("errors", "Prediction errors", body)
 
 
 def _floor(comparison: Comparison) -> str:

@@ -67,7 +67,7 @@ def test_the_page_needs_nothing_else(single):
 def test_the_page_begins_with_what_was_found(single, learnt):
     parsed, _ = single
     _, _, result = learnt
-    assert parsed.text.index(summary(result)) < parsed.text.index("How far off")
+    assert parsed.text.index(summary(result)) < parsed.text.index("Prediction errors")
     assert finding(result) in parsed.text
     assert f"{1e3 * result.totals['heldout'].model.final_add:.1f} mm" in summary(result)
 
