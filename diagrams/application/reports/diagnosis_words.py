@@ -132,7 +132,7 @@ def locked_table(diagnosis: Diagnosis) -> tuple[list[str], list[list[str]]]:
     rows = [
         ["along the path (ADD), mm", *(millimetres(float(e.path.mean())) for e in errors)],
         ["at the end (ADD), mm", *(millimetres(float(e.final.mean())) for e in errors)],
-        ["misfit, multiples of sensor noise (1 is perfect)", *(f"{e.total_misfit:.2f}" for e in errors)],
+        ["misfit, times sensor noise (1 is best)", *(f"{e.total_misfit:.2f}" for e in errors)],
     ]
     return names, rows if errors else []
 
