@@ -100,7 +100,7 @@ def explore(
             _refuse_beside(context, "--after uses the cell of the earlier run", "object", "scenario")
             if after.resolve() == cell.folder.resolve():
                 raise BadInput(
-                    f"--after {after}: this run would write to the same folder; name another one with --out"
+                    f"--after {after}: this run would write there too; name another folder with --out"
                 )
             scenario, _, recorded = resumed(after)
             if not pushes + checks:

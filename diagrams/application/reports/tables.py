@@ -169,7 +169,7 @@ def show_comparison(results: Sequence[Comparison]) -> None:
     if first.floor is not None:
         floor = f"; noise floor {phrases.millimetres(first.floor.add)} mm ({first.floor.source})"
     table(
-        f"Mean errors, mm (end and average: ADD, the mean distance of the cells){floor}",
+        f"Mean errors, mm (end, average: ADD, mean distance of cells){floor}",
         ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
         rows,
         numbers=range(1, 7),

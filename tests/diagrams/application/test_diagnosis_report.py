@@ -200,12 +200,12 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
     ):
         assert fact in page.text
     assert dict(push_facts(PUSH))["pause half-way"] == "0.5 s"
-    assert "rest half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
+    assert "pause half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
     show_diagnosis(told, dataset, EFFECTS)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
     for text in (out, page.text):
-        assert found.sentence in text and "chance was not simulated" in " ".join(text.split())
+        assert found.sentence in text and "Chance was not simulated" in " ".join(text.split())
         assert "Push the object along +y & wait." in text
         assert f"{1e3 * found.before.path.mean():.1f}" in text
         assert f"{found.after.total_misfit:.2f}" in text
