@@ -70,4 +70,4 @@ def test_an_effect_file_is_named_once(slipmap, tmp_path):
 def test_a_twin_comes_up_at_no_address_that_cannot_be(slipmap):
     said = slipmap("station", "--lcm", "nonsense")
     assert_refused(said, "the address must look like", "nonsense")
-    assert "comes up" not in said.err
+    assert "starting the cell" not in said.err
