@@ -99,7 +99,7 @@ def replay(
 ) -> None:
     """Find the pushes in a log of messages, and learn from them.
 
-    LOG is a file from `slipmap record --log` (LCM or MCAP) or LCM's `lcm-logger`. It is played as fast as
+    LOG was written by `slipmap record --log` (LCM or MCAP) or by `lcm-logger`. It is played as fast as
     possible by the senders' time stamps, as if the cell were running. Writes the same files as `slipmap
     explore`, and reports the latency of the camera.
     """
