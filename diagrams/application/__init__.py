@@ -1,1 +1,1 @@
-"""What people use: commands, reports, figures, campaigns, the benchmark. No block of a Diagram imports it."""
+"""User-facing parts: commands, reports, figures, campaigns, benchmark. No block of a Diagram imports them."""

@@ -1,4 +1,4 @@
-"""Bodies in Bullet for worlds with a finger: an object on feet that are links, and the finger itself."""
+"""Bodies in Bullet for worlds with a finger: an object whose feet are links, and the finger itself."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from types import ModuleType
 import numpy as np
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
-"""The quaternion of no turn."""
+"""The identity quaternion."""
 
 _LINK_MASS = 1e-6  # kg
-_FINGER_MASS = 1e-2  # kg; so light that its drive does nothing but push
+_FINGER_MASS = 1e-2  # kg; so light that its drive force is the contact force
 
 
 def body_of_links(
@@ -22,7 +22,7 @@ def body_of_links(
     places: Sequence[Sequence[float]],
     turn: Sequence[float] = LEVEL,
 ) -> int:
-    """A body with all the mass (kg), to which links with these shapes are fixed, almost without weight.
+    """A body with all the mass (kg), to which almost massless links with these shapes are fixed.
 
     Args:
         p, where: pybullet, and the client.
@@ -44,10 +44,10 @@ def body_of_links(
 def finger_on_rails(
     p: ModuleType, where: dict[str, int], shape: int, height: float, group: int, mask: int
 ) -> int:
-    """A finger of a shape, its frame at a height (m), on joints 0 along x and 1 along y.
+    """A finger with a shape and its frame at a height (m), on joints 0 along x and 1 along y.
 
     Args:
-        group, mask: collision group of the finger, and of what it meets.
+        group, mask: collision group of the finger, and of what it touches.
     """
     here = [[0.0, 0.0, 0.0]] * 2
     finger = p.createMultiBody(

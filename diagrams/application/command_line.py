@@ -1,7 +1,7 @@
-"""The command `slipmap`: its subcommands, its exit codes, and how failures are told.
+"""The command `slipmap`: its subcommands, its exit codes, and how it reports failures.
 
-Exit codes: 0 success; 1 a failure of the program itself, or a run that did not reach what it was for; 2 wrong
-use or bad input; 130 stopped, by Ctrl-C or by a signal to end.
+Exit codes: 0 success; 1 a failure of the program itself, or a run that did not reach its goal; 2 wrong use or
+bad input; 130 stopped by Ctrl-C or by a termination signal.
 """
 
 import difflib
@@ -31,11 +31,11 @@ _COMMANDS = (
     "beliefs:export", "studies:calibrate", "studies:explore_study", "studies:campaign",
     "studies:blind_test", "studies:audit", "machine:bench", "machine:completion",
 )  # fmt: skip
-"""Modules of commands, and the function in them where it has another name."""
+"""Modules of commands, each with its function where that has another name."""
 
 
 class _Commands(click.Group):
-    """A group that lists its commands in the order a newcomer meets them, and knows a slip of the pen."""
+    """A group that lists its commands in the order a newcomer meets them, and recognises typing errors."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -55,8 +55,10 @@ class _Commands(click.Group):
 
 
 def _refuse_slips(ctx: click.Context, args: Sequence[str]) -> None:
-    """Click would take the last of several values, and say nothing of the others; and the working folder for
-    an empty path, which a shell makes of a variable that is not set.
+    """Refuse repeated options and empty paths.
+
+    Click would silently take the last of several values, and the working folder for an empty path, which a
+    shell makes of an unset variable.
     """
     values, _, given = ctx.command.make_parser(ctx).parse_args(list(args))
     for param in ctx.command.params:
@@ -64,11 +66,11 @@ def _refuse_slips(ctx: click.Context, args: Sequence[str]) -> None:
             value = values.get(param.name or "")
             if value == "" or (isinstance(value, list | tuple) and "" in value):
                 name = "/".join(param.opts) if isinstance(param, click.Option) else param.human_readable_name
-                ctx.fail(f"{name} is given an empty name; name a file or a folder.")
+                ctx.fail(f"{name} has an empty name; give the name of a file or a folder.")
     for option, times in Counter(given).items():
         single = isinstance(option, click.Option) and not (option.multiple or option.is_flag or option.count)
         if single and times > 1:
-            ctx.fail(f"{'/'.join(option.opts)} is given {times} times and takes one value; which is meant?")
+            ctx.fail(f"{'/'.join(option.opts)} is given {times} times but takes one value; give it once.")
 
 
 @click.group(
@@ -76,18 +78,18 @@ def _refuse_slips(ctx: click.Context, args: Sequence[str]) -> None:
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="`slipmap COMMAND --help` explains a command. Results go to standard output, progress and remarks"
-    " to standard error; --json FILE writes results for programs.",
+    " to standard error; --json FILE writes results for other programs.",
 )
 @click.version_option(package_name="slipmap", message="slipmap %(version)s")
 @click.pass_context
 def slipmap(ctx: click.Context) -> None:
     """Find out how an unknown object slides.
 
-    From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
-    sure it is, predicts further pushes, and names the physical effect that its model misses.
+    From a few recorded pushes, slipmap learns how mass and friction are distributed over an object, states
+    how certain that is, predicts further pushes, and names the physical effect that its model misses.
 
-    New here? `slipmap example` writes pushes to try commands on, `slipmap demo` shows a belief beside the
-    truth, and `slipmap doctor` says whether this machine has all that is needed.
+    New here? `slipmap example` writes sample pushes to try the commands on, `slipmap demo` compares a belief
+    with the truth, and `slipmap doctor` checks that this machine has everything slipmap needs.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)
@@ -102,46 +104,46 @@ for _name in _COMMANDS:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command, tell of its failure on stderr, and return its exit code."""
+    """Run one command, report any failure on stderr, and return the exit code."""
     try:
         result = slipmap.main(list(arguments), prog_name="slipmap", standalone_mode=False)
         sys.stdout.flush()
         return result if isinstance(result, int) else SUCCESS
     except (click.Abort, KeyboardInterrupt):
-        return _told(_STOPPED, STOPPED)
+        return _report(_STOPPED, STOPPED)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "slipmap"
         said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
-        return _told(f"{said} See `{path} --help`.", WRONG_USE)
+        return _report(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
-        return _told(error.format_message(), error.exit_code)
+        return _report(error.format_message(), error.exit_code)
     except BadInput as error:
-        return _told(str(error), WRONG_USE)
+        return _report(str(error), WRONG_USE)
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            return _told("what is printed cannot be written: the disk is full; make room", WRONG_USE)
-        # Wherever a path is first looked at, of what is read as of what is written.
+            return _report("cannot write the output: the disk is full; make room", WRONG_USE)
+        # Comes from wherever a path is first used, for reading or for writing.
         if error.errno == errno.ENAMETOOLONG:
             said = f"the name {error.filename} is too long for this disk; choose a shorter one"
-            return _told(said, WRONG_USE)
+            return _report(said, WRONG_USE)
         return _leads_nowhere(error) if error.errno == errno.ELOOP else _internal(error)
     except Exception as error:
         if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Path.resolve()
             return _leads_nowhere(error)
         if _comes_of_ctrl_c(error):
-            return _told(_STOPPED, STOPPED)
-        return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
+            return _report(_STOPPED, STOPPED)
+        return _report(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
 
 
 def _comes_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether an error was caused by Ctrl-C, as an ImportError is where a C++ module is stopped loading."""
+    """Whether Ctrl-C caused an error, such as an ImportError of a C++ module whose loading it interrupted."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
-    """What was meant, where one of a few words was wanted and another was given."""
+    """The choice that was probably meant, where another word was given."""
     kind = error.param.type if isinstance(error, click.BadParameter) and error.param else None
     if isinstance(kind, click.Choice):
         for word in (argument.rpartition("=")[2] for argument in arguments):
@@ -169,28 +171,28 @@ def _sentence(text: str) -> str:
 
 
 def _leads_nowhere(error: Exception) -> int:
-    return _told(f"a link leads back to itself ({error}); name the file that is meant", WRONG_USE)
+    return _report(f"a symbolic link leads back to itself ({error}); name the file itself", WRONG_USE)
 
 
 def _internal(error: Exception) -> int:
     place = traceback.extract_tb(error.__traceback__)[-1]
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
-    return _told(
+    return _report(
         f"internal failure, {type(error).__name__} in {os.path.basename(place.filename)}, line"
         f" {place.lineno}: {_one_paragraph(str(error))}. This is a fault of slipmap, not of your input;"
-        f" please report it with the whole traceback, which the environment variable {TRACEBACK}=1 shows.",
+        f" please report it with the full traceback, which setting {TRACEBACK}=1 in the environment shows.",
         INTERNAL_FAILURE,
     )
 
 
-def _told(message: str, code: int) -> int:
+def _report(message: str, code: int) -> int:
     note(f"slipmap: {message}")
     return code
 
 
 class _Output:
-    """A text stream whose reader may close it: the rest is written to nobody then, the command goes on."""
+    """A text stream whose reader may close it: the rest is then discarded, and the command continues."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -216,7 +218,7 @@ class _Output:
 
 
 def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
-    """Standard output or error; into nothing where the command was started without it."""
+    """Standard output or error; the null device where the command was started without it."""
     if stream is None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         if nowhere != descriptor:
@@ -229,19 +231,19 @@ def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
 
 def main() -> None:
     """Entry point of the console script."""
-    # The matrices are small and the rollouts have their own threads: where another program shares the
-    # cores, BLAS threads that wait for each other made an identification seven times slower.
+    # The matrices are small and the rollouts have their own threads: with another program on the same
+    # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Threads of the rollouts that have nothing to do shall not keep a core from others, or the first thread.
+    # Idle threads of the rollouts must not keep a core from other threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    # Ending the command from outside, or closing its terminal, is as Ctrl-C: workers end with it, and nothing
-    # half-written is left.
+    # Terminating the command from outside, or closing its terminal, acts like Ctrl-C: workers end with it,
+    # and nothing half-written is left.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
     sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
     code = run(sys.argv[1:])
-    # What there was to stop is over: a signal while Python takes itself down would only spoil the exit code.
+    # The work is over: a signal while Python shuts down would only spoil the exit code.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

@@ -17,7 +17,7 @@ FINGER_RADIUS = 0.008
 
 
 def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[PushDataset, Maps]:
-    """Random pushes of the hammer, each from another place on the table, and the true maps.
+    """Random pushes of the hammer, each from a different pose on the table, and the true maps.
 
     Args:
         seed: of the pushes and of the sensors' noise.
@@ -52,7 +52,7 @@ def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[
 def tilted_block() -> PushDataset:
     """Twelve pushes of a block of 0.72 kg on a table that is not level, as `slipmap example` writes them.
 
-    They were simulated with a slope of 0.05 rad along x and -0.03 rad along y, and come with the package.
+    They were simulated with a slope of 0.05 rad along x and -0.03 rad along y, and are part of the package.
 
     Example:
         >>> import slipmap
@@ -64,7 +64,7 @@ def tilted_block() -> PushDataset:
 
 
 def true_values(belief: Belief, truth: Maps) -> dict[str, float]:
-    """What an identification reports as quantities, for true maps (one model): name to value, SI."""
+    """True values, SI, by name, of the quantities that an identification reports, for one model's maps."""
     certain = replace(belief, maps=truth, probability=np.ones(1), effects=())
     load = truth.mass[0] * truth.mu[0]
     middle = load @ belief.grid.centers / load.sum()

@@ -1,4 +1,4 @@
-"""Whether this machine has all that slipmap needs: each thing is tried, not asked for."""
+"""Checks that this machine has everything slipmap needs, by trying each thing out."""
 
 import os
 import re
@@ -14,13 +14,13 @@ from slipmap.diagrams.perception.system_libraries import IMPORTS, RENDER, RENDER
 
 LEAST_PYTHON = (3, 11)
 LEAST_DISK = 1.0
-"""GB free; compiled kernels take some MB, a recorded run up to 100."""
+"""Least free disk space, GB; compiled kernels take some MB, a recorded run up to 100."""
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox")
-PATIENCE = 120.0  # s for one trial; the slowest, importing all of Drake, takes some seconds
+PATIENCE = 120.0  # s for one check; the slowest, importing all of Drake, takes some seconds
 
 LCM_URL = "udpm://239.255.76.67:7691?ttl=0"
-"""LCM's usual address, at a port of which no cell listens; with ttl=0 nothing leaves this computer."""
+"""LCM's usual address with a port at which no cell listens; with ttl=0, nothing leaves this computer."""
 
 _ROUND_TRIP = f"""
 from pydrake.lcm import DrakeLcm
@@ -31,28 +31,28 @@ lcm.Publish("SLIPMAP_DOCTOR", b"hello")
 for _ in range(20):
     if heard or lcm.HandleSubscriptions(100):
         break
-assert heard == [b"hello"], "what was sent was not heard"
+assert heard == [b"hello"], "the message sent was not received"
 """
 
 _COMPILE = "from numba import njit; assert njit(lambda x: x + 1)(1) == 2"
 
 Try = Callable[[str], str | None]
-"""Runs Python code in a process of its own; returns the last line of what went wrong, or None."""
+"""Runs Python code in its own process; returns the last line of the error, or None."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
-    name: str  # of it
-    ok: bool  # whether it is there and works
-    needed: bool  # whether slipmap does not do without
-    found: str  # what is there, or what is wrong
-    remedy: str = ""  # command or step that mends it; empty where nothing is to be mended
+    name: str  # of the thing checked
+    ok: bool  # whether it is present and works
+    needed: bool  # whether slipmap requires it
+    found: str  # what is present, or what is wrong
+    remedy: str = ""  # command or step that fixes it; empty where nothing is wrong
 
 
 def examine(attempt: Try | None = None) -> Iterator[Finding]:
-    """Look at everything, one after the other; code is tried in a fresh interpreter if `attempt` is None."""
+    """Run all checks in turn; code runs in a fresh interpreter if `attempt` is None."""
     attempt = attempt or _in_fresh_interpreter
     yield _python()
     yield from _packages()
@@ -75,7 +75,7 @@ def _python() -> Finding:
 
 
 def _packages() -> Iterator[Finding]:
-    """What slipmap's own description asks for, in the versions that it asks for."""
+    """Check the required packages and their versions."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -94,12 +94,12 @@ def _packages() -> Iterator[Finding]:
         ok = found != "not installed" and requirement.specifier.contains(found, prereleases=True)
         remedy = f"{sys.executable} -m pip install '{requirement.name}{requirement.specifier}'"
         yield _finding(
-            requirement.name, ok, found if ok else f"{found}, {requirement.specifier} wanted", remedy
+            requirement.name, ok, found if ok else f"{found}, but {requirement.specifier} is needed", remedy
         )
 
 
 def _required() -> list[str]:
-    """As the checkout says, which an installation may be behind of; without one, as installed."""
+    """Requirements of the checkout, which may be newer than the installation; else of the installation."""
     description = Path(__file__).resolve().parents[2] / "pyproject.toml"
     if description.is_file():
         import tomllib
@@ -113,13 +113,13 @@ def _required() -> list[str]:
 def _import(module: str, attempt: Try) -> Finding:
     failure = attempt(f"import {module}")
     package = package_for(failure or "")
-    remedy = f"sudo apt-get install {package}" if package else "make install, and look at what it says"
+    remedy = f"sudo apt-get install {package}" if package else "make install, and read its output"
     return _finding(f"import {module}", failure is None, failure or "works", remedy)
 
 
 def _renderer(attempt: Try) -> Finding:
     failure = attempt(RENDER)
-    found = failure or "a test picture shows what it should"
+    found = failure or "the test picture is correct"
     return _finding("camera's renderer (EGL)", failure is None, found, _apt(*RENDERING_PACKAGES))
 
 
@@ -134,20 +134,20 @@ def _cache() -> Finding:
     try:
         from slipmap.models.physics.compiled import CACHE_FOLDER, needs_compiling
     except ImportError as error:
-        return _finding(name, False, f"cannot be told: {error}", "install what is missing above")
+        return _finding(name, False, f"cannot be checked: {error}", "install what is missing above")
     try:
         CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=CACHE_FOLDER) as file:
             file.write(b"slipmap")
     except OSError as error:
         return _finding(name, False, f"{CACHE_FOLDER}: {error.strerror}", remedy)
-    state = "to be filled, half a minute at the first run" if needs_compiling() else "filled"
+    state = "empty; the first run compiles for half a minute" if needs_compiling() else "filled"
     return _finding(name, True, f"{CACHE_FOLDER}, {state}")
 
 
 def _disk() -> Finding:
     least = min(shutil.disk_usage(folder).free for folder in (Path.home(), Path.cwd())) / 1e9
-    remedy = "make room, or move the cache with the environment variable SLIPMAP_CACHE"
+    remedy = "free some space, or move the cache with the environment variable SLIPMAP_CACHE"
     return _finding("disk", least >= LEAST_DISK, f"{least:.1f} GB free", remedy)
 
 
@@ -155,20 +155,20 @@ def _cores() -> Finding:
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = os.environ.get("NUMBA_NUM_THREADS", str(available))
     ok = available >= 2 and threads.isdigit() and 1 <= int(threads) <= available
-    remedy = "with one core everything takes its time; more threads than cores: unset NUMBA_NUM_THREADS"
+    remedy = "one core is slow; if there are more threads than cores, unset NUMBA_NUM_THREADS"
     found = f"{available}, threads for rollouts: {threads}"
     return _finding("processor cores", ok, found, remedy, needed=False)
 
 
 def _browser() -> Finding:
     found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    said = found or "none found; pages and Meshcat's view open in a browser on any other computer too"
+    said = found or "none found; reports also open in a browser on another computer"
     return _finding("browser", found is not None, said, _apt("chromium"), needed=False)
 
 
 def _lcm(attempt: Try) -> Finding:
     failure = attempt(_ROUND_TRIP)
-    found = f"{failure}; needed for a real arm, or its twin, alone" if failure else "a message came back"
+    found = f"{failure}; only needed for a real arm or its twin" if failure else "a message came back"
     remedy = "sudo ip link set lo multicast on && sudo ip route add 224.0.0.0/4 dev lo"
     return _finding("LCM by multicast", failure is None, found, remedy, needed=False)
 

@@ -1,4 +1,4 @@
-"""Places where commands write: checked before any work is done; and pictures of several pages."""
+"""Output paths, checked before any work is done, and pictures of several pages."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 def check_output(path: Path, endings: Sequence[str] = ()) -> None:
-    """Refuse, before any work is done, an output that could not be written after it.
+    """Refuse, before any work is done, an output that could not be written.
 
     Raises:
-        BadInput: another ending, a missing or unwritable folder, or a folder or a device in the file's place.
+        BadInput: a wrong ending, a missing or unwritable folder, or a path that is a folder or a device.
     """
     if path.is_dir():
-        raise BadInput(f"cannot write {path}: that is a folder; name a file in it")
+        raise BadInput(f"cannot write {path}: it is a folder; name a file in it")
     if endings and path.suffix.lower().lstrip(".") not in endings:
         wanted = " or ".join(f".{ending}" for ending in endings)
         raise BadInput(f"cannot write {path}: its name must end in {wanted}")
     if path.exists() and not path.is_file():
-        raise BadInput(f"cannot write {path}: that is a device or a pipe; name a file and read that")
+        raise BadInput(f"cannot write {path}: it is a device or a pipe; name a file instead")
     check_folder(path.parent, path)
 
 
@@ -42,17 +42,17 @@ def check_folder(folder: Path, path: Path) -> None:
     """
     if not folder.is_dir():
         raise BadInput(
-            f"cannot write {path}: the folder {folder} does not exist; make it first or choose another"
+            f"cannot write {path}: the folder {folder} does not exist; create it or choose another one"
         )
     with writing(path), tempfile.TemporaryFile(dir=folder):
         pass
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, its parents included. Those that the command leaves empty go when it ends.
+    """Make a folder for results, with its parents. Those that stay empty are removed when the command ends.
 
     Raises:
-        BadInput: a file is in the way, or the place cannot be written to.
+        BadInput: a file is in the way, or the folder cannot be written to.
     """
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     for place in (folder, *folder.parents):
@@ -67,10 +67,10 @@ def make_folder(folder: Path) -> None:
 
 
 def lock_folder(folder: Path) -> None:
-    """Keep a folder for this command until it ends, so that no other writes the same run there.
+    """Lock a folder for this command until it ends, so that no other command writes a run there.
 
     Raises:
-        BadInput: another command has it.
+        BadInput: another command holds the lock.
     """
     with writing(folder):
         place = os.open(folder, os.O_RDONLY)
@@ -88,16 +88,16 @@ def lock_folder(folder: Path) -> None:
 
 
 def _remove_empty(folders: Sequence[Path]) -> None:
-    with suppress(OSError):  # the first that holds something, and its parents, stay
+    with suppress(OSError):  # a folder that is not empty stays, as do its parents
         for folder in folders:
             folder.rmdir()
 
 
 def write_figures(path: Path, figures: Sequence[Figure]) -> list[Path]:
-    """Write the pages of a picture: the first as `path`, further ones with their number before the ending.
+    """Write the pages of a picture: the first to `path`, further ones with their number before the ending.
 
     Raises:
-        BadInput: the place cannot be written to.
+        BadInput: a file cannot be written.
     """
     from slipmap.diagrams.application.figures import save
 

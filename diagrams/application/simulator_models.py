@@ -1,9 +1,9 @@
-"""What was learned of an object as a model for other simulators: SDF, URDF or MJCF.
+"""A belief as a model for other simulators: SDF, URDF or MJCF.
 
-Mass, centre of mass and inertia are those of the cells. A geometry has one friction coefficient, and how an
-engine spreads a rigid body's weight over many contacts is up to the engine. So the object stands on feet in
-the middles of parts of equal mass: equal loads on all of them hold it level, and these are what an engine
-finds whose contacts give way alike. Each foot rubs as its part does.
+Mass, centre of mass and inertia are those of the cells. A geometry has one friction coefficient, and engines
+differ in how they distribute a rigid body's weight over many contacts. The object therefore stands on feet at
+the centres of parts of equal mass: equal loads keep it level, and an engine with equally compliant contacts
+finds these loads. Each foot has the friction of its part.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 Format = Literal["sdf", "urdf", "mjcf"]
 
 _ENDINGS: dict[str, str] = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
-_FOOT = 1e-3  # m, radius of a foot and air below the outline
+_FOOT = 1e-3  # m, radius of a foot and gap below the outline
 _HALVINGS = 5  # of the object, to 32 parts of equal mass
 DEFAULT_HEIGHT = 0.02
-"""m, of an object whose height is not known."""
+"""Height of an object where it is not known, m."""
 
 LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0
-"""m; an object stands on feet of 1 mm."""
+"""Limits of the height, m; an object stands on feet of 1 mm."""
 
 LOST = (
-    f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
-    "effects beyond the plain model, and how sure anything is, but for the spread of K files",
+    f"details of the maps within the {2**_HALVINGS} parts of equal mass, each of which one foot represents",
+    "effects beyond the plain model, and uncertainty, except as the spread over one file per hypothesis",
 )
-"""What no format can hold."""
+"""What no format can represent."""
 
-_PUSH_LOW = "pushes above the feet shift the load between them; push low to have what slipmap predicts"
+_PUSH_LOW = "pushes above the feet shift load between them; push low to get what slipmap predicts"
 _PAIRS = (
-    "a pair has one friction coefficient, which Drake takes from both bodies as 2 a b / (a + b) and Gazebo"
-    " as the smaller one: the model is right on a table, and for a finger, of coefficient 1"
+    "Drake combines the friction coefficients of a pair to 2 a b / (a + b), and Gazebo takes the smaller one:"
+    " the model is right for a table and a finger with coefficient 1"
 )
 TO_MIND: Mapping[Format, tuple[str, ...]] = {
     "sdf": (_PAIRS, _PUSH_LOW),
     "urdf": (_PAIRS, _PUSH_LOW),
     "mjcf": (
-        "MuJoCo's default cone is a pyramid, in which friction depends on the direction: keep cone=elliptic",
+        "MuJoCo's default friction cone is a pyramid, which depends on direction: keep cone=elliptic",
         _PUSH_LOW,
     ),
 }
-"""What has to be minded of each format."""
+"""Cautions for each format."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body that slides as a hypothesis says."""
+    """A rigid body that slides like a hypothesis."""
 
     mass: float  # kg
     com: FloatArray  # (3,) m, object frame with z = 0 on the table
@@ -69,7 +69,7 @@ class Body:
 
 
 def body_of(belief: Belief, hypothesis: int | None, height: float) -> Body:
-    """The body of one hypothesis, or of their mean."""
+    """The body of one hypothesis, or of the mean if None."""
     maps, p = belief.maps, belief.probability
     if hypothesis is None:
         mass = p @ maps.mass
@@ -97,7 +97,7 @@ def body_of(belief: Belief, hypothesis: int | None, height: float) -> Body:
 def _feet(
     centers: FloatArray, mass: FloatArray, load: FloatArray, halvings: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(2^halvings, 2) middles of parts of equal mass, and (2^halvings,) the friction of each, N."""
+    """(2^halvings, 2) centres of parts of equal mass, and (2^halvings,) friction of each, N."""
     middle = mass @ centers / mass.sum()
     if halvings == 0:
         return middle[None], np.array([load.sum()])
@@ -106,7 +106,7 @@ def _feet(
     order = np.argsort(away @ axes[:, -1], kind="stable")
     half = 0.5 * mass.sum()
     below = np.cumsum(mass[order]) - mass[order]
-    # The cell in the middle belongs to both.
+    # The cell in the middle belongs to both halves.
     first = np.clip((half - below) / np.maximum(mass[order], 1e-300), 0.0, 1.0)
     halves = []
     for share in (first, 1.0 - first):
@@ -117,7 +117,7 @@ def _feet(
 
 
 def convex_parts(grid: CellGrid) -> list[FloatArray]:
-    """Convex polygons (k, 2), counter-clockwise, that make up the outline without gaps."""
+    """Convex polygons (k, 2), counter-clockwise, that fill the outline without gaps."""
     pieces = [shapely.orient_polygons(piece) for piece in convex_pieces(grid.polygon)]
     return [np.array(piece.exterior.coords)[:-1] for piece in pieces]
 
@@ -132,20 +132,20 @@ def export_belief(
 ) -> list[Path]:
     """Write models for a simulator to a new folder: the mean, or one for each hypothesis.
 
-    The object frame is that of the outline, with z = 0 on the table. `LOST` says what the formats cannot
-    hold, `TO_MIND` what to mind.
+    The object frame is that of the outline, with z = 0 on the table. `LOST` lists what the formats cannot
+    represent, `TO_MIND` cautions.
 
     Args:
         to: `sdf`, `urdf` or `mjcf`.
-        folder: a new one; SDF and URDF have meshes of the outline beside them.
+        folder: a new one; for SDF and URDF it also holds meshes of the outline.
         height: of the object, m.
-        hypotheses: one file for each, called after its number, with its probability in it.
+        hypotheses: write one file for each, named by its number and containing its probability.
 
     Returns:
         The models.
 
     Raises:
-        BadInput: the folder holds something; an unknown format, or a height below `LEAST_HEIGHT`.
+        BadInput: the folder is not empty, the format is unknown, or the height is out of range.
 
     Example:
         >>> import slipmap, tempfile
@@ -156,12 +156,12 @@ def export_belief(
         ['hammer_00.xml', 'hammer_01.xml']
     """
     if to not in _WRITERS:
-        raise BadInput(f"there is no format {to!r}; there are {', '.join(_WRITERS)}")
+        raise BadInput(f"there is no format {to!r}; choose one of {', '.join(_WRITERS)}")
     if not LEAST_HEIGHT <= height <= LARGEST_HEIGHT:
         raise BadInput(f"height must lie between {LEAST_HEIGHT:g} and {LARGEST_HEIGHT:g} m, got {height}")
     target = Path(folder).absolute()
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise BadInput(f"{folder} is there already; name a new folder for the models")
+        raise BadInput(f"{folder} exists already; name a new folder for the models")
     name = "".join(sign if sign.isalnum() else "_" for sign in belief.dataset).strip("_") or "object"
     numbers: Sequence[int | None] = range(len(belief)) if hypotheses else [None]
     texts = {}
@@ -189,7 +189,7 @@ def _comment(belief: Belief, hypothesis: int | None) -> str:
 
 
 def _prism(corners: FloatArray, height: float) -> str:
-    """An upright prism as OBJ, its faces outward."""
+    """An upright prism as OBJ, with faces outward."""
     count = len(corners)
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for z in (_FOOT, height) for x, y in corners]
     below, above = range(count, 0, -1), range(count + 1, 2 * count + 1)
@@ -211,7 +211,7 @@ def _numbers(values: Sequence[float] | FloatArray) -> str:
 
 
 def _of_pair(friction: float) -> float:
-    """A coefficient that Drake combines with 1 to that of the pair."""
+    """The coefficient that Drake, combining it with 1, turns into that of the pair."""
     return friction / (2.0 - friction) if friction < 1.9 else 19.0
 
 

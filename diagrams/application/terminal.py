@@ -1,7 +1,7 @@
-"""What the commands show on a terminal: notes, progress, tables. Results go to stdout, all else to stderr.
+"""Terminal output of the commands: notes, progress, tables. Results go to stdout, all else to stderr.
 
-Progress is a bar for each stage on a terminal and a line now and then in a log file. `rich`, which draws bars
-and tables, is loaded when the first of them is drawn.
+Progress is a bar for each stage on a terminal, and an occasional line in a log file. `rich`, which draws bars
+and tables, is loaded only when it is needed.
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ import click
 from slipmap.models.files import BadInput
 
 WIDTH = 80
-"""Columns of everything that is not shown on a terminal."""
+"""Columns of output that does not go to a terminal."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_WIDEST = 100  # columns of a table
-_GAP = 3  # columns between those of a table
+_WIDEST = 100  # columns, largest width of a table
+_GAP = 3  # characters between the columns of a table
 _HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
-_LONGEST_STAGE = 34  # letters beside a bar; what is longer is cut
-_BAR = 16  # columns of a bar where there is room: with the numbers, 80 columns hold all
+_LONGEST_STAGE = 34  # characters beside a bar; longer names are cut
+_BAR = 16  # columns of a bar where there is room; with the numbers, the line fits 80 columns
 
 
 def printable(text: str) -> str:
-    """A text in which control characters, as names of files and datasets may hold them, are spelled out:
-    they could move the cursor, or write what nobody said."""
+    """Text with control characters spelled out; in names of files and datasets, they could move the cursor or
+    forge output."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def note(text: str) -> None:
-    """A line on stderr."""
+    """Print a line on stderr."""
     click.echo(printable(text), err=True)
 
 
 def wrapped(text: str, indent: str) -> str:
-    """A text in lines of 80 columns of which those after the first are indented; no word is broken."""
+    """Text wrapped to 80 columns, with all lines but the first indented; no word is broken."""
     return textwrap.fill(
         printable(text), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
 
 
 def paragraph(text: str) -> None:
-    """A text on stdout, broken into lines of 80 columns; nothing where it is empty."""
+    """Print a text on stdout, wrapped to 80 columns; nothing if it is empty."""
     if text:
         click.echo(textwrap.fill(printable(text), WIDTH))
 
 
 def status(text: str) -> None:
-    """A remark on stderr, broken into lines of 80 columns of which those after the first are indented."""
+    """Print a remark on stderr, wrapped to 80 columns, with all lines but the first indented."""
     note(wrapped(text, "    "))
 
 
@@ -65,7 +65,9 @@ def wait_for_enter() -> None:
 
 
 def prepare_kernels() -> None:
-    """Before anything is simulated: see that compiled kernels can be kept, and tell of the wait for new ones.
+    """Check that compiled kernels can be stored, and announce the wait for compiling them.
+
+    Call it before anything is simulated.
 
     Raises:
         BadInput: their folder cannot be made.
@@ -76,7 +78,7 @@ def prepare_kernels() -> None:
         CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(
-            f"compiled kernels cannot be kept in {CACHE_FOLDER} ({error.strerror}); set the environment"
+            f"compiled kernels cannot be stored in {CACHE_FOLDER} ({error.strerror}); set the environment"
             " variable SLIPMAP_CACHE to a folder that you may write to"
         ) from error
     if needs_compiling():
@@ -84,11 +86,11 @@ def prepare_kernels() -> None:
 
 
 class Progress:
-    """Shows progress and the time left on stderr: bars on a terminal, elsewhere a line now and then.
+    """Progress and remaining time on stderr: bars on a terminal, occasional lines elsewhere.
 
-    Use as a context manager, and call with (stage, done, total). What follows a colon in a stage is what is
-    being done at present: it is shown beside the bar, and does not begin a new one. A stage of one part, or
-    of 0 where nobody knows how many there are, has no count and no time left, only the time that it takes.
+    Use as a context manager, and call with (stage, done, total). Text after a colon in a stage names the
+    current activity: it is shown beside the bar and does not start a new one. A stage with one part, or with
+    0 for an unknown number, shows no count and no remaining time, only the elapsed time.
     """
 
     def __init__(self) -> None:
@@ -129,15 +131,15 @@ class Progress:
 
     @contextmanager
     def step(self, stage: str) -> Iterator[None]:
-        """A stage of one part, which is done when the block ends well."""
+        """A stage of one part, done when the block ends without an exception."""
         self(stage, 0, 1)
         yield
         self(stage, 1, 1)
 
     def _speak(self, done: int, total: int) -> None:
-        """Say in a log file how far the stage is."""
+        """Report in a log file how far the stage is."""
         if total and done >= total:
-            return  # its end is reported when it ends
+            return  # reported when it ends
         self._spoke = time.monotonic()
         if total > 1:
             text = f"{done} of {total}{_about(self._pace.left())}"
@@ -146,7 +148,7 @@ class Progress:
         note("; ".join(filter(None, (f"{self._stage}: {text}", self._doing))))
 
     def _finish(self, *, complete: bool) -> None:
-        """Close the present stage; a stage may end before its total, when it has converged."""
+        """Close the current stage; it may end before its total, as when it has converged."""
         if not self._stage or not complete:
             return
         if self._bars is not None:
@@ -157,10 +159,10 @@ class Progress:
 
 
 class _Pace:
-    """How fast a stage goes: the time left, at the mean pace of the parts that were seen to be done.
+    """Remaining time of a stage, from the mean duration of the finished parts.
 
     Args:
-        done: parts that were done before it began, and took no time.
+        done: parts that were already done at the start.
     """
 
     def __init__(self, done: int) -> None:
@@ -169,7 +171,7 @@ class _Pace:
         self._began = self._last = time.monotonic()
 
     def note(self, done: int, total: int) -> bool:
-        """Note how many parts are done; returns whether these are more than before."""
+        """Update the number of finished parts; returns whether it has grown."""
         self._total = total
         more = done > self._done
         if more:
@@ -177,25 +179,24 @@ class _Pace:
         return more
 
     def left(self) -> float | None:
-        """Seconds until all parts are done; None until one is. It runs down while a part is at work."""
+        """Seconds until all parts are done; None until one is. Counts down while a part is running."""
         made = self._done - self._first
         if made <= 0 or self._total <= 1:
             return None
         now = time.monotonic()
-        # Parts that were on file come at once, and say nothing of those that are not: what is at work has
-        # taken its time, too.
+        # Parts read from files finish at once and say nothing about the others: the running part counts too.
         each = max((self._last - self._began) / made, (now - self._began) / (made + 1))
         at_work = min(now - self._last, each)
         return max(each * (self._total - self._done) - at_work, 0.0)
 
     def __str__(self) -> str:
-        """The time left beside a bar, which asks for it again and again."""
+        """The remaining time beside a bar, which queries it repeatedly."""
         left = self.left()
         return "" if left is None else f"{timedelta(seconds=round(left))} left"
 
 
 def _about(seconds: float | None) -> str:
-    """The time left in words, after a comma; nothing where it is not known."""
+    """The remaining time in words, after a comma; empty if unknown."""
     if seconds is None:
         return ""
     for unit, length in (("h", 3600.0), ("min", 60.0)):
@@ -205,8 +206,8 @@ def _about(seconds: float | None) -> str:
 
 
 class _Bars:
-    """One bar for each stage, those that have ended above the present one, each in one line however narrow
-    the terminal is: there the bar becomes shorter.
+    """One bar for each stage, finished ones above the current one. Each takes one line; on narrow terminals,
+    the bar is shorter.
     """
 
     def __init__(self) -> None:
@@ -225,11 +226,11 @@ class _Bars:
         self._bars.start()
 
     def begin(self, stage: str, pace: _Pace) -> None:
-        """Add a bar; it has no end until one is shown."""
+        """Add a bar, without a total until one is shown."""
         self._task = self._bars.add_task(_cut(stage), total=None, count="", left=pace)
 
     def show(self, text: str, done: int, total: int) -> None:
-        """How far the last bar is; one part, or 0 where their number is not known, cannot be counted."""
+        """Update the last bar; a total of one part, or 0 for an unknown number, has no count."""
         task = self._bars.tasks[self._task]
         shown, whole = _cut(text), total if total > 1 else None
         if (task.description, task.completed, task.total) != (shown, done, whole):
@@ -248,7 +249,7 @@ class _Bars:
         self._bars.stop_task(self._task)
 
     def stop(self) -> None:
-        """Leave what is drawn as it is."""
+        """Stop updating, and leave the bars as drawn."""
         self._bars.stop()
 
 
@@ -260,10 +261,10 @@ def _cut(text: str) -> str:
 def table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
 ) -> None:
-    """Print a table on stdout, within the terminal's width or 80 columns, and an empty line.
+    """Print a table on stdout, within the terminal's width or 80 columns, then an empty line.
 
     Args:
-        numbers: columns to align on the right and never to wrap.
+        numbers: columns to align on the right and not to wrap.
     """
     from rich import box
     from rich.console import Console
@@ -291,6 +292,6 @@ def table(
 
 
 def _broken(heading: str, *cells: str) -> str:
-    """The heading in several lines, none longer than it must be for its words and the cells below."""
+    """The heading wrapped to the width that its words and the cells below need."""
     width = max(len(text) for text in (*heading.split(), *cells))
     return textwrap.fill(heading, width, break_on_hyphens=False)

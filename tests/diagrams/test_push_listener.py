@@ -142,7 +142,7 @@ def test_without_messages_it_is_told_what_is_missing():
 
 
 def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_path):
-    """The camera stamps its pictures 60 ms late; the log is cut off in the midst of its last message."""
+    """The camera stamps its pictures 60 ms late; the log is cut off in the middle of its last message."""
     log = tmp_path / "late.lcmlog"
     whole = b"".join(event.encode() for event in MadeUpCell(LATE).events())
     log.write_bytes(whole[:-3])
@@ -153,7 +153,7 @@ def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_p
         "replay", log, "--scenario", cell, "-o", out, "--hypotheses", 2, "--json", tmp_path / "said.json"
     )
     assert said.code == 0
-    assert "ends in the midst of a message" in said.err
+    assert "ends in the middle of a message" in said.err
     assert "push 1 is kept" in said.err
     lag = json.loads((tmp_path / "said.json").read_text())["heard"]["camera_lag"]
     assert lag["value"] == pytest.approx(LATE, abs=0.01)
@@ -228,7 +228,7 @@ def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
     words = ["record", "--scenario", cell, "-o", tmp_path / "box", "--pushes", 1]
     said = slipmap(*words, "--json", tmp_path / "said.json")
     assert said.code == 0
-    assert "cannot tell whether it is late" in said.out
+    assert "latency cannot be estimated" in said.out
     assert "ELSE" not in said.err and "IIWA_STATUS" in said.err
     assert max(len(line) for line in said.err.splitlines() if str(tmp_path) not in line) <= 80
     heard = json.loads((tmp_path / "said.json").read_text())
@@ -248,7 +248,7 @@ def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset
     log = tmp_path / "log"
     log.write_text("")
     said = slipmap("record", "-o", tmp_path / "other", "--log", log)
-    assert said.code == 2 and "is there already" in said.err
+    assert said.code == 2 and "exists already" in said.err
 
 
 def test_an_address_that_is_none_is_told_at_once(slipmap, tmp_path):

@@ -248,7 +248,7 @@ def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--pushes", 3], ["--resume goes on as it began; leave out --pushes"]),
+        (["--pushes", 3], ["--resume keeps the options of the run; leave out --pushes"]),
         (["--out", "elsewhere"], ["leave out --out"]),
         (["--hardware"], ["made in simulation; leave out --hardware"]),
     ],

@@ -1,4 +1,4 @@
-"""Bullet under audit: one rigid body on a foot a cell."""
+"""Bullet under audit: a rigid body with one foot per cell."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 2e-3  # m, radius
-_HEIGHT = 2e-3  # m, of the object's centre of mass above the table, and of the finger's middle
-_SINK = 2e-4  # m; of every foot under the weight of its cell
-_MARGIN = 1e-3  # m; by which Bullet blows up convex hulls
-_CLEARANCE = 4e-4  # m; of what the finger meets above the table
-_SIDE = 0.02  # m, its height
-_MOTOR = [1e4, 1e4]  # N; nothing in the scene can hold it
+_HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table
+_SINK = 2e-4  # m; penetration of every foot under the weight of its cell
+_MARGIN = 1e-3  # m; by which Bullet inflates convex hulls
+_CLEARANCE = 4e-4  # m, between the table and the sides that the finger touches
+_SIDE = 0.02  # m, height of the sides
+_MOTOR = [1e4, 1e4]  # N; nothing in the scene can stop it
 _TABLE, _FEET, _SIDES, _FINGER = 1, 2, 4, 8  # collision groups
 
 
 class BulletEngine:
     """Bullet's multibody solver.
 
-    A foot is as stiff as its cell is heavy, so that each carries the weight of its cell.
+    The stiffness of each foot is proportional to the weight of its cell, so that it carries that weight.
     """
 
     dt: ClassVar[float] = 2e-3
-    cone: ClassVar[bool] = True  # friction as a cone; else along two axes, each by itself
+    cone: ClassVar[bool] = True  # friction as a cone; otherwise along two axes independently
     iterations: ClassVar[int] = 50
 
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
@@ -69,7 +69,7 @@ class BulletEngine:
             **self._where,
         )  # fmt: skip
         p.stepSimulation(**self._where)
-        # The finger is so light that its drive does nothing but push.
+        # The finger is so light that its drive force is the contact force.
         return np.array([state[3] for state in p.getJointStates(self._finger, [0, 1], **self._where)])
 
     def pose(self) -> FloatArray:
@@ -83,7 +83,7 @@ class BulletEngine:
             p.resetJointState(self._finger, joint, float(place[joint]), float(speed[joint]), **self._where)
 
     def _add_object(self, scene: EngineScene) -> int:
-        """A body with all the mass; feet, and prisms that the finger meets, are links without weight."""
+        """A body with all the mass; feet, and prisms that the finger touches, are massless links."""
         where, centers = self._where, scene.grid.centers
         shapes = [p.createCollisionShape(p.GEOM_SPHERE, radius=_FOOT, **where) for _ in centers]
         for piece in scene.pieces:
@@ -111,7 +111,7 @@ class BulletEngine:
             )  # fmt: skip
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
         for link in range(n, count):
-            # What hangs beside the finger counts once it touches.
+            # Prisms near the finger count only once they touch it.
             p.changeDynamics(
                 body, link, lateralFriction=scene.mu_finger, contactProcessingThreshold=0.0, **where
             )

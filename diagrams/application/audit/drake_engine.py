@@ -1,4 +1,4 @@
-"""Drake under audit: one rigid body on a foot a cell."""
+"""Drake under audit: a rigid body with one foot per cell."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from slipmap.diagrams.application.audit.engine import EngineScene
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 5e-4  # m, radius
-_HEIGHT = 2e-3  # m, of the object's centre of mass above the table, and of the finger's middle
-_SINK = 2e-5  # m; of every foot under the weight of its cell
-_CLEARANCE = 1e-4  # m; of what the finger meets above the table
-_SIDE = 0.02  # m, its height
+_HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table
+_SINK = 2e-5  # m; penetration of every foot under the weight of its cell
+_CLEARANCE = 1e-4  # m, between the table and the sides that the finger touches
+_SIDE = 0.02  # m, height of the sides
 _TABLE_FRICTION, _FINGER_FRICTION = 10.0, 10.0
 
 _DISSIPATION = 20.0  # s/m
@@ -45,11 +45,11 @@ _RESOLUTION = 9e-3  # m
 
 
 class DrakeEngine:
-    """Drake's MultibodyPlant with point contact, a foot a cell, as stiff as its cell is heavy."""
+    """Drake's MultibodyPlant with point contact: one foot per cell, as stiff as its cell is heavy."""
 
     dt: ClassVar[float] = 2e-3
     approximation: ClassVar[str] = "lagged"  # of contact, Drake's default
-    hydroelastic: ClassVar[bool] = False  # a soft plate a cell instead of feet
+    hydroelastic: ClassVar[bool] = False  # a soft plate per cell instead of feet
     stiction: ClassVar[float] = (
         1e-5  # m/s, below which friction lets an object creep; Drake's default is 1e-3
     )
@@ -68,7 +68,7 @@ class DrakeEngine:
         _contact(table, _TABLE_FRICTION, None)
         if self.hydroelastic:
             AddRigidHydroelasticProperties(20.0, table)
-        # A half space would do, but Drake warns of it.
+        # A half space would do, but Drake warns about it.
         X_WT, top = RigidTransform([0.0, 0.0, -0.5]), Box(20.0, 20.0, 1.0)
         ground = plant.RegisterCollisionGeometry(plant.world_body(), X_WT, top, "table", table)
         self._add_object(plant, scene)
@@ -175,7 +175,7 @@ class DrakeEngine:
 
 
 def _contact(properties: ProximityProperties, friction: float, stiffness: float | None) -> None:
-    """Add friction, and a stiffness in N/m where it is not left to the other body."""
+    """Add friction, and a stiffness in N/m unless the other body determines it."""
     AddContactMaterial(
         dissipation=_DISSIPATION, point_stiffness=1e9 if stiffness is None else stiffness,
         friction=CoulombFriction(friction, friction), properties=properties,

@@ -1,7 +1,7 @@
-"""What an audit asks of a physics engine, the engine that is Coulomb's law itself, and the objects it pushes.
+"""The interface of audited engines, the reference engine of Coulomb's law, and the objects that are pushed.
 
-An engine is a class. The audit makes one instance for each scene and direction of gravity, lays the object
-down with `reset`, and moves on with `step`; it looks at nothing but `pose`.
+An engine is a class. The audit makes one instance for each scene and direction of gravity, places the object
+with `reset`, and advances with `step`; it only observes `pose`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.stepper import Stepper
 
 AWAY = np.array([8.0, 8.0])
-"""Where the finger stands while it shall not touch, m."""
+"""Finger position where it must not touch, m."""
 
 SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02
 """s"""
@@ -34,7 +34,7 @@ REST = np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class EngineScene:
-    """A flat rigid object on a level table without end, and a round finger.
+    """A flat rigid object on an infinite level table, and a round finger.
 
     Each cell rests on the table with its own weight m_i g, and the table resists its motion with mu_i m_i g.
 
@@ -43,7 +43,7 @@ class EngineScene:
             object frame, m.
         mass: (n,) of the cells, kg, each a square plate.
         mu: (n,) friction coefficients between the cells and the table.
-        mu_finger: the same between outline and finger.
+        mu_finger: friction coefficient between outline and finger.
         finger_radius: m.
     """
 
@@ -55,17 +55,17 @@ class EngineScene:
 
     @property
     def pieces(self) -> list[FloatArray]:
-        """Corners (k, 2) of convex polygons that together are the outline, object frame, m."""
+        """Corners (k, 2) of convex polygons that together form the footprint, object frame, m."""
         return [np.asarray(piece.exterior.coords)[:-1] for piece in convex_pieces(self.grid.polygon)]
 
     @property
     def maps(self) -> Maps:
-        """The same as one hypothesis of the model."""
+        """The maps as one hypothesis of the model."""
         return Maps(self.mass, self.mu, np.array([self.mu_finger]))
 
     @property
     def center_of_mass(self) -> FloatArray:
-        """(2,) object frame, m."""
+        """(2,) centre of mass, object frame, m."""
         return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
 
     @property
@@ -77,7 +77,7 @@ class EngineScene:
 
     @property
     def moment_of_inertia(self) -> float:
-        """About the vertical axis through the centre of mass, kg m²."""
+        """Moment of inertia about the vertical axis through the centre of mass, kg m²."""
         away = self.grid.centers - self.center_of_mass
         return float(self.mass @ ((away**2).sum(axis=1) + self.grid.width**2 / 6))
 
@@ -98,18 +98,18 @@ class Engine(Protocol):
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None: ...
 
     def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
-        """Lay the object down on the table.
+        """Place the object on the table.
 
         Args:
             pose: (3,) x, y, θ of the object frame, world, m and rad.
             velocity: (3,) of the object frame's origin, world, m/s, and rad/s.
-            tip: (2,) centre of the finger, world, m; far away where it shall not touch.
+            tip: (2,) centre of the finger, world, m; far away where it must not touch.
         """
 
     def step(
         self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
     ) -> FloatArray:
-        """Advance by dt, while the finger, which nothing can stop, goes from `tip` to `next_tip`.
+        """Advance by dt while the finger, which nothing can stop, moves from `tip` to `next_tip`.
 
         Returns:
             (2,) force of the finger on the object, world, N.
@@ -120,7 +120,7 @@ class Engine(Protocol):
 
 
 class CoulombEngine:
-    """The model itself; a subclass may give it effects that the audit is to find."""
+    """The model itself; a subclass may add effects for the audit to find."""
 
     dt: ClassVar[float] = 2e-3
     effects: ClassVar[Sequence[Effect]] = ()
@@ -163,16 +163,15 @@ class Subject:
     """An engine under audit.
 
     Args:
-        name: as the user calls it.
+        name: as given by the user.
         kind: its class, see `Engine`.
-
         full_dt: the engine's own step where `kind` has half of it, s.
 
     Attributes:
         dt: its time step, s.
 
     Raises:
-        BadInput: the class lacks what `Engine` asks for.
+        BadInput: the class lacks a part of `Engine`.
     """
 
     def __init__(self, name: str, kind: Any, full_dt: float | None = None) -> None:
@@ -194,24 +193,24 @@ class Subject:
         return Subject(self.name, type(self._kind.__name__, (self._kind,), {"dt": self.dt / 2}), self.dt)
 
     def lay(self, scene: EngineScene, gravity: FloatArray = LEVEL) -> Laid:
-        """An engine with a scene in it, under a gravity (3,), m/s².
+        """An engine with a scene, under a gravity (3,), m/s².
 
         Raises:
-            BadInput: it cannot be made, or it does not take the step of its class.
+            BadInput: it cannot be made, or it does not use the step of its class.
         """
         engine = self.ask("__init__", self._kind, scene, np.array(gravity, dtype=float))
         if getattr(engine, "dt", None) != self.dt:
             raise BadInput(
-                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so that it cannot"
-                " be run at half its step; give the class the attribute dt, and have the engine use self.dt"
+                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so it cannot run at"
+                " half its step; make dt an attribute of the class, and use self.dt in the engine"
             )
         return Laid(self, engine, scene)
 
     def ask(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What a method of the engine returns.
+        """Call a method of the engine.
 
         Raises:
-            BadInput: it fails; names the method, file and line.
+            BadInput: it fails; the message names method, file and line.
         """
         try:
             return function(*arguments)
@@ -223,10 +222,10 @@ class Subject:
     def ask_numbers(
         self, method: str, function: Callable[..., Any], length: int, *arguments: Any
     ) -> FloatArray:
-        """The same of a method that gives so many numbers.
+        """Call a method of the engine that returns `length` numbers.
 
         Raises:
-            BadInput: it fails, or gives something else.
+            BadInput: it fails, or returns something else.
         """
         value = self.ask(method, function, *arguments)
         try:
@@ -241,20 +240,20 @@ class Subject:
 
 
 class Laid:
-    """An engine with a scene in it; `Subject.lay` makes it."""
+    """An engine with a scene, made by `Subject.lay`."""
 
     def __init__(self, subject: Subject, engine: Engine, scene: EngineScene) -> None:
         self._subject, self._engine, self._scene = subject, engine, scene
 
     def push(self, tip: FloatArray, pose: FloatArray, velocity: FloatArray = REST) -> FloatArray:
-        """Poses (T + 1, 3) of the object frame, world, angles continuous, while the finger goes along a path.
+        """Poses (T + 1, 3) of the object frame in the world, with continuous angles, along a finger path.
 
         Args:
             tip: (T + 1, 2) centre of the finger at the ends of steps, world, m.
-            pose, velocity: (3,) of the object frame at first, world.
+            pose, velocity: (3,) initial values of the object frame, world.
 
         Raises:
-            BadInput: a method fails, or gives something else than finite numbers.
+            BadInput: a method fails, or returns anything but finite numbers.
         """
         subject, engine = self._subject, self._engine
         pose, velocity = np.array(pose, dtype=float), np.array(velocity, dtype=float)
@@ -263,8 +262,8 @@ class Laid:
         poses = [subject.ask_numbers("pose", engine.pose, 3)]
         if np.abs(poses[0] - pose)[:2].max() > 1e-3:
             raise BadInput(
-                f"engine {subject.name}: after reset() at x, y, θ = {pose.round(4).tolist()} pose() gives"
-                f" {poses[0].round(4).tolist()}; both are of the object frame in the world, m and rad"
+                f"engine {subject.name}: after reset() at x, y, θ = {pose.round(4).tolist()}, pose() returns"
+                f" {poses[0].round(4).tolist()}; both must be of the object frame in the world, m and rad"
             )
         for k in range(len(tip) - 1):
             path = (tip[k].copy(), speed[k].copy(), tip[k + 1].copy(), speed[k + 1].copy())
@@ -275,7 +274,7 @@ class Laid:
         return result
 
     def slide(self, velocity: FloatArray, duration: float) -> FloatArray:
-        """(T + 1, 3) centre of mass and angle, world, of an object that is let go; row k is at k dt.
+        """(T + 1, 3) centre of mass and angle in the world of a released object; row k is at time k dt.
 
         Args:
             velocity: (3,) of the centre of mass, world, m/s, and rad/s.
@@ -298,14 +297,14 @@ _FOOT_ABOVE = -0.018  # m; cells above this y are of the other material
 
 
 def plain_scene() -> EngineScene:
-    """Equal cells, friction `MU` everywhere."""
+    """A uniform object with friction `MU`."""
     grid = cells_from_polygon(OUTLINE, count=_CELLS)
     n = len(grid)
     return EngineScene(grid, np.full(n, 1.0 / n), np.full(n, MU), MU_FINGER, FINGER_RADIUS)
 
 
 def two_material_scene() -> EngineScene:
-    """A light rough leg on a heavy smooth foot."""
+    """An L with a light rough leg on a heavy smooth foot."""
     grid = cells_from_polygon(OUTLINE, count=_CELLS)
     leg = grid.centers[:, 1] > _FOOT_ABOVE + 1e-6
     return EngineScene(grid, np.where(leg, 0.014, 0.034), np.where(leg, 0.5, 0.28), MU_FINGER, FINGER_RADIUS)

@@ -1,4 +1,4 @@
-"""Engines by name: MuJoCo, Bullet and Drake with settings of theirs, or a class in a user's own file."""
+"""Engines by name: MuJoCo, Bullet and Drake with settings, or a class in a user's own file."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from slipmap.models.files import BadInput
 
 @dataclass(frozen=True)
 class BuiltIn:
-    """An engine that slipmap can audit without more."""
+    """An engine that slipmap can audit out of the box."""
 
-    package: str  # that brings it, as pip knows it
+    package: str  # name of its pip package
     where: str  # module and class
-    words: Mapping[str, Mapping[str, Any]]  # settings in words, as attributes of the class
+    words: Mapping[str, Mapping[str, Any]]  # settings by word, as attributes of the class
     numbers: tuple[str, ...]  # attributes that take a number
-    remedies: Mapping[str, str]  # key of a defect to what to set
+    remedies: Mapping[str, str]  # what to set, by key of the defect
 
 
 BUILT_IN = {
@@ -36,8 +36,8 @@ BUILT_IN = {
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
-            "load_follows_slip": "against load that follows slip no setting of MuJoCo is known (impratio and"
-            " a smaller step do not help, contacts of a shorter timeconst make it worse)",
+            "load_follows_slip": "against load that follows slip, no setting of MuJoCo is known (impratio and"
+            " a smaller step do not help, a shorter timeconst of contacts makes it worse)",
         },
     ),
     "bullet": BuiltIn(
@@ -45,7 +45,7 @@ BUILT_IN = {
         ("dt", "iterations"),
         {
             "square": "setPhysicsEngineParameter(enableConeFriction=1) gives a cone (bullet:cone)",
-            "lean": "against leaning friction no setting of Bullet's multibody solver is known",
+            "lean": "against leaning friction, no setting of Bullet's multibody solver is known",
         },
     ),
     "drake": BuiltIn(
@@ -56,12 +56,12 @@ BUILT_IN = {
         },
         ("dt", "stiction"),
         {
-            "load_follows_slip": 'discrete_contact_approximation="lagged" has even loads (drake:lagged)',
+            "load_follows_slip": 'discrete_contact_approximation="lagged" keeps loads even (drake:lagged)',
             "creep": "a smaller stiction_tolerance (drake:stiction=1e-5)",
         },
     ),
 }  # fmt: skip
-"""By name."""
+"""Built-in engines by name."""
 
 _LARGEST = 2**20  # bytes of a user's file
 
@@ -70,11 +70,11 @@ def find_engine(spec: str) -> Subject:
     """An engine as a user names it.
 
     Args:
-        spec: `mujoco`, `bullet` or `drake`, after a colon settings with commas between, as
-            `mujoco:elliptic,impratio=100`; or a file and a class, as `my_engine.py:Engine`.
+        spec: `mujoco`, `bullet` or `drake`, with comma-separated settings after a colon, such as
+            `mujoco:elliptic,impratio=100`; or a file and a class, such as `my_engine.py:Engine`.
 
     Raises:
-        BadInput: there is no such engine or setting, it is not installed, or the file is faulty.
+        BadInput: the engine or setting does not exist or is not installed, or the file is faulty.
     """
     name, _, rest = spec.partition(":")
     if name in BUILT_IN:
@@ -83,26 +83,26 @@ def find_engine(spec: str) -> Subject:
     if not colon or not file.endswith(".py"):
         known = ", ".join(BUILT_IN)
         raise BadInput(
-            f"there is no engine {spec!r}; name {known}, or a file and a class in it, as my_engine.py:Engine"
+            f"there is no engine {spec!r}; name {known}, or a file and its class, such as my_engine.py:Engine"
         )
     return Subject(kind, _class_in(Path(file), kind))
 
 
 def installed() -> list[str]:
-    """Names of the built-in engines that this machine has."""
+    """Names of the built-in engines that are installed."""
     return [
         name for name, engine in BUILT_IN.items() if importlib.util.find_spec(_module(engine)) is not None
     ]
 
 
 def version(spec: str) -> str:
-    """Name and version of the package behind a built-in engine; empty for a user's."""
+    """Name and version of the package of a built-in engine; empty for a user's engine."""
     engine = BUILT_IN.get(spec.partition(":")[0])
     return "" if engine is None else f"{engine.package} {metadata.version(engine.package)}"
 
 
 def remedy(spec: str, key: str) -> str:
-    """What to set in an engine to be rid of a defect; empty where nothing is known."""
+    """The setting that removes a defect of an engine; empty where none is known."""
     engine = BUILT_IN.get(spec.partition(":")[0])
     return "" if engine is None else engine.remedies.get(key, "")
 
@@ -130,7 +130,7 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
             raise BadInput(f"engine {spec}: there is no setting {setting!r}; there are {', '.join(known)}")
     if importlib.util.find_spec(_module(engine)) is None:
         extra = "slipmap" if engine.package == "drake" else "slipmap[bench]"
-        raise BadInput(f"engine {spec}: {engine.package} is not installed; `pip install '{extra}'` brings it")
+        raise BadInput(f"engine {spec}: {engine.package} is not installed; use `pip install '{extra}'`")
     module, _, name = engine.where.partition(":")
     kind = getattr(import_module(f"{__package__}.{module}"), name)
     return type(name, (kind,), chosen)
@@ -138,7 +138,7 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
 
 def _class_in(path: Path, name: str) -> Any:
     if not path.is_file() or path.stat().st_size > _LARGEST:
-        raise BadInput(f"engine file {path}: there is no such file, or it is no program; check the name")
+        raise BadInput(f"engine file {path}: there is no such file, or it is too large; check the name")
     module_name = f"slipmap_engine_file_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     assert spec is not None and spec.loader is not None  # as its name ends in .py

@@ -1,4 +1,4 @@
-"""MuJoCo under audit: one rigid body on a foot a cell."""
+"""MuJoCo under audit: a rigid body with one foot per cell."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from slipmap.diagrams.application.audit.engine import AWAY, EngineScene
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 2e-3  # m, radius
-_HALF_HEIGHT = 2e-3  # m, of the object's centre of mass above the table, and of the finger's middle
+_HALF_HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table
 _IMPEDANCE = 0.9  # MuJoCo's default at first touch
 _SETTLING = 1.0  # s
 _FINGER_MASS = 1e3  # kg; nothing in the scene moves it
-_FINGER_CONTACT = 'condim="3" solref="-1e4 -200"'  # stiff; the default gives way by a millimetre
+_FINGER_CONTACT = 'condim="3" solref="-1e4 -200"'  # stiff; the default yields by a millimetre
 
 
 class MujocoEngine:
-    """MuJoCo with its defaults: pyramid of friction, impratio, solver, softness of contacts.
+    """MuJoCo with its defaults for friction pyramid, impratio, solver and contact softness.
 
-    The impedance of each contact is such that at rest each foot carries the weight of its cell.
+    The contact impedances are chosen so that at rest each foot carries the weight of its cell.
     """
 
     dt: ClassVar[float] = 2e-3  # MuJoCo's default

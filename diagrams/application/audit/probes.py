@@ -1,9 +1,9 @@
-"""Probes of an engine: how friction depends on direction, speed and spin; and names for what they show.
+"""Probes of an engine: how friction depends on direction, speed and spin, and which defects that shows.
 
-All are asked of a plate of even weight and friction, whose answers by Coulomb's law are known. Contacts of
-some engines hop while they slide, so that friction comes in blows: whatever can be kept sliding evenly, by a
-gravity as steep as friction, is; the others are averaged over several speeds. What is named has a size, and
-how sure that is.
+All probes use a plate of uniform weight and friction, for which Coulomb's law gives the answers. In some
+engines, sliding contacts hop and friction comes in bursts. Probes therefore keep the object sliding steadily,
+with gravity tilted to balance friction, where that is possible, and average over several speeds elsewhere.
+Every defect has a size with an uncertainty.
 """
 
 from __future__ import annotations
@@ -30,57 +30,57 @@ from slipmap.models.geometry import cross, rotated
 from slipmap.models.physics.cell_grid import FloatArray
 
 DIRECTIONS = np.arange(24) * np.pi / 12
-"""(24,) of the free slides, rad."""
+"""(24,) directions of the free slides, rad."""
 STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])
-"""m/s, along x."""
+"""Speeds of the steady slides along x, m/s."""
 SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()
-"""rad/s, in place."""
+"""Initial rates of the spins in place, rad/s."""
 CREEP_LOAD = 0.6
-"""Of what friction can hold."""
+"""Load as a share of what friction can hold."""
 
 _SLIDE_SPEEDS = np.array([0.2, 0.3, 0.45])  # m/s
-_STEPS = 40  # at least, until a free slide stops
-_FINE = 4  # steps of a point in one of the engine
-_EARLY = (0.05, 0.45)  # of the time until it stops, in which a direction changes little
+_STEPS = 40  # fewest time steps until a free slide stops
+_FINE = 4  # steps of a point per step of the engine
+_EARLY = (0.05, 0.45)  # evaluated share of the time until it stops, in which the direction changes little
 LATE = (0.1, 0.75)
-"""The same of spins."""
-_SETTLED, _STEADY = 0.1, 0.3  # s that an even slide is left to itself, and watched
-_SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, for so many steps
+"""Evaluated share of the time until a spin stops."""
+_SETTLED, _STEADY = 0.1, 0.3  # s for which a steady slide settles, and is then observed
+_SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, and number of steps
 _SLOW_SLIDES = np.array([0.15, 0.2, 0.25, 0.3])  # m/s of the object in the meantime
 _CREEP_DIRECTIONS = np.radians([0.0, 22.5, 45.0])
-_LAID, _CREPT = 0.25, 0.25  # s that a load is left to itself, and watched
-_STEEP = 1.5  # load, of what friction can hold, under which anything slides
+_LAID, _CREPT = 0.25, 0.25  # s for which a loaded object settles, and is then observed
+_STEEP = 1.5  # load, as a multiple of what friction can hold, under which the object must slide
 
 Report = Callable[[int], None]
-"""Called with how many probes are done."""
+"""Called with the number of finished probes."""
 COUNT = 2 + len(DIRECTIONS) + len(STEADY_SPEEDS) + len(SPINS) + len(_CREEP_DIRECTIONS)
-"""Probes of one engine at one step."""
+"""Number of probes of one engine at one time step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What an engine does at one time step."""
+    """Answers of an engine to the probes at one time step."""
 
-    # (24, 2) directions of motion half-way, unit vectors, and friction there as an acceleration over μ g;
-    # Coulomb's is -1 along the motion
+    # (24, 2) directions of motion (unit vectors) and friction as acceleration over μ g, both half-way;
+    # Coulomb's law gives -1 along the motion
     direction: FloatArray
     friction: FloatArray
-    steady: FloatArray  # (4,) friction at `STEADY_SPEEDS` over Coulomb's
-    spin: FloatArray  # (16,) torque of a spin in place over Coulomb's
-    # (8,) torque of slow spins while the object slides, less Coulomb's, over Coulomb's of a spin in place
+    steady: FloatArray  # (4,) friction at `STEADY_SPEEDS` relative to Coulomb's
+    spin: FloatArray  # (16,) torque of spins in place relative to Coulomb's
+    # (8,) torque of slow spins during a slide minus Coulomb's, relative to Coulomb's for a spin in place
     slow_spin: FloatArray
     creep: FloatArray  # (3,) speed under a load that friction can hold, m/s
 
 
 def ask(subject: Subject, report: Report) -> Answers:
-    """Ask all probes of an engine.
+    """Run all probes of an engine.
 
     Args:
         subject: the engine.
         report: called after each of `COUNT` probes.
 
     Raises:
-        BadInput: the engine fails, or gravity's tilt does nothing in it.
+        BadInput: the engine fails, or ignores the tilt of gravity.
     """
     done = 0
 
@@ -115,12 +115,12 @@ def ask(subject: Subject, report: Report) -> Answers:
 
 
 def _tilted(along: FloatArray) -> FloatArray:
-    """(3,) gravity with a part (2,) along the table, m/s²."""
+    """(3,) gravity with a component (2,) along the table, m/s²."""
     return LEVEL + np.append(along, 0.0)
 
 
 def _parabola(times: NDArray[np.floating[Any]], values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Velocity half-way and acceleration of what is seen at times, by least squares."""
+    """Velocity half-way and acceleration of values at given times, by least squares."""
     bend, slope, _ = np.polyfit(times - times.mean(), values, 2)
     return slope, 2 * bend
 
@@ -131,14 +131,14 @@ def _check_gravity(subject: Subject) -> None:
     moved, wanted = path[-1, 0] - path[0, 0], 0.5 * (_STEEP - 1) * MU * GRAVITY * _LAID**2
     if moved < 0.1 * wanted:
         raise BadInput(
-            f"engine {subject.name}: under a gravity of {_tilted(along).round(2).tolist()} m/s² the object"
-            f" moves by {1e3 * moved:.1f} mm in {_LAID} s, by Coulomb's law {1e3 * wanted:.0f} mm; __init__"
-            " must use the gravity that it is given, tilted or not"
+            f"engine {subject.name}: with gravity {_tilted(along).round(2).tolist()} m/s², the object moves"
+            f" {1e3 * moved:.1f} mm in {_LAID} s instead of {1e3 * wanted:.0f} mm under Coulomb's law;"
+            " __init__ must use the gravity that it is given, tilted or not"
         )
 
 
 def _free_slide(subject: Subject, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Direction half-way and friction (2,) of slides that are let go in a direction."""
+    """Direction half-way and friction (2,) of slides released in a direction."""
     laid = subject.lay(plain_scene())
     paths = [
         laid.slide(np.array([*(speed * along), 0.0]), _EARLY[1] * speed / (MU * GRAVITY))[:, :2]
@@ -148,7 +148,7 @@ def _free_slide(subject: Subject, along: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def slide_speeds(dt: float) -> FloatArray:
-    """(3,) speeds of free slides, m/s, for an engine of this step, s: faster where it is long."""
+    """(3,) speeds of free slides, m/s, for a time step of the engine, s; higher for long steps."""
     return np.asarray(_SLIDE_SPEEDS * max(1.0, _STEPS * dt * MU * GRAVITY / _SLIDE_SPEEDS[0]))
 
 
@@ -169,10 +169,10 @@ def seen_in_slides(paths: Sequence[FloatArray], dt: float) -> tuple[FloatArray, 
 def slides_of_point(
     friction: Callable[[FloatArray], FloatArray], dt: float, full_dt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What free slides would show, (24, 2) each, as in `Answers`, if friction followed a law.
+    """Direction and friction (24, 2), as in `Answers`, of free slides under a law of friction.
 
     Args:
-        friction: directions of motion (24, 2) to friction over μ N (24, 2).
+        friction: maps directions of motion (24, 2) to friction over μ N (24, 2).
         dt, full_dt: of the `Subject`, s.
     """
     paths = []
@@ -192,7 +192,7 @@ def slides_of_point(
 
 
 def _steady_slide(subject: Subject, speed: float) -> float:
-    """Friction along x, over Coulomb's, at an even speed: that of the gravity which keeps it."""
+    """Friction along x at a steady speed relative to Coulomb's, from the gravity that balances it."""
     along = MU * GRAVITY
     for _ in range(3):
         laid = subject.lay(plain_scene(), _tilted(np.array([along, 0.0])))
@@ -200,12 +200,12 @@ def _steady_slide(subject: Subject, speed: float) -> float:
         first = round(_SETTLED / subject.dt)
         along -= float(_parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 0])[1])
         if path[-1, 0] - path[first, 0] < 0.2 * speed * _STEADY:
-            along *= 1.1  # it stands still, so that friction is at least this
+            along *= 1.1  # it does not move, so friction is at least this large
     return along / (MU * GRAVITY)
 
 
 def _spin_torque(subject: Subject, rate: float) -> float:
-    """Angular deceleration of an object that is let go with a spin, rad/s²."""
+    """Angular deceleration of an object released with a spin, rad/s²."""
     scene = plain_scene()
     stop = abs(rate) * scene.moment_of_inertia / (MU * GRAVITY * scene.mass.sum() * scene.mean_arm)
     path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), LATE[1] * stop)
@@ -216,7 +216,7 @@ def _spin_torque(subject: Subject, rate: float) -> float:
 
 
 def _slow_spin_torques(subject: Subject) -> FloatArray:
-    """(8,) the same of a slow spin, either way, while a steep gravity keeps the object sliding."""
+    """(8,) angular decelerations of slow spins either way while tilted gravity keeps the object sliding."""
     laid = subject.lay(plain_scene(), _tilted(np.array([MU * GRAVITY, 0.0])))
     torques = []
     for speed in _SLOW_SLIDES:
@@ -236,7 +236,7 @@ def _creep(subject: Subject, along: FloatArray) -> float:
 
 
 def leaned(answers: Answers) -> FloatArray:
-    """(24,) angles by which friction leaves the line of motion, counter-clockwise, rad."""
+    """(24,) angles between friction and the line of motion, counter-clockwise, rad."""
     back = rotated(answers.friction, np.pi - np.arctan2(answers.direction[:, 1], answers.direction[:, 0]))
     return np.arctan2(back[:, 1], back[:, 0])
 
@@ -246,24 +246,24 @@ Key = Literal[
 ]
 
 SPIN_OF_SQUARE, SPIN_OF_DIAMOND = 4 / np.pi, 2 * np.sqrt(2) / np.pi
-"""Torque of a spin over a cone's: the means of |cos| + |sin| and of max(|cos|, |sin|)."""
+"""Torque of a spin relative to a cone's: the means of |cos| + |sin| and of max(|cos|, |sin|)."""
 
-_SURE = 2.0  # times its uncertainty that a size must be
+_SURE = 2.0  # least ratio of a size to its uncertainty
 _CORNER = 0.02  # share of the speed within which a pyramid's corners are round
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One size that the probes give, named or not."""
+    """One size measured by the probes, whether a defect or not."""
 
     key: Key
     title: str
-    value: float  # 0 by Coulomb's law
-    uncertainty: float  # one standard deviation; the change at half the time step is part of it
-    tolerance: float  # below which nobody minds
+    value: float  # 0 under Coulomb's law
+    uncertainty: float  # one standard deviation, including the change at half the time step
+    tolerance: float  # size up to which it is no defect
     unit: str  # "1" for a share
-    sentence: str  # what it means, with the size
-    effect: str | None  # of the library, that has it
+    sentence: str  # its meaning, with the size
+    effect: str | None  # corresponding effect of the library
 
     @property
     def named(self) -> bool:
@@ -273,30 +273,30 @@ class Measure:
 
 @dataclass(frozen=True)
 class Pyramid:
-    """How far friction follows a pyramid instead of a cone."""
+    """Degree to which friction follows a pyramid instead of a cone."""
 
     kind: Literal["diamond", "square"]
     share: float  # 1 for a pyramid, 0 for a cone
 
     @property
     def spin(self) -> float:
-        """Torque of a spin in place over that of a cone."""
+        """Torque of a spin in place relative to a cone's."""
         whole = SPIN_OF_SQUARE if self.kind == "square" else SPIN_OF_DIAMOND
         return float(1 + self.share * (whole - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """How friction depends on direction."""
+    """Dependence of friction on direction."""
 
     pyramid: Pyramid
     grain: float  # half the difference of friction along and across a grain, as a share
-    along_x: float  # friction along x over its mean, by the grain
-    lean: float  # largest angle by which friction leaves the line of motion otherwise, rad
+    along_x: float  # friction along x relative to its mean, due to the grain
+    lean: float  # largest remaining angle between friction and the line of motion, rad
 
 
 def pyramid_force(kind: str, direction: FloatArray) -> FloatArray:
-    """(…, 2) friction over μ N of a whole pyramid of the world's axes, for motion in directions (…, 2)."""
+    """(…, 2) friction over μ N of a full pyramid along the world's axes, for directions of motion (…, 2)."""
     x, y = direction[..., 0], direction[..., 1]
     if kind == "square":
         return np.stack([-_sign(x), -_sign(y)], axis=-1)
@@ -305,27 +305,27 @@ def pyramid_force(kind: str, direction: FloatArray) -> FloatArray:
 
 
 def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
-    """Sizes of all that can be named, from the answers at the engine's time step dt, s, and at half of it."""
+    """Sizes of all possible defects, from the answers at the engine's time step dt, s, and at half of it."""
     shape, finer = _shape(full, dt, dt), _shape(half, dt / 2, dt)
     pyramid = shape.pyramid
     result = [
         _factor(full, half, shape), _speed(full, half), _pyramid(shape, finer),
         Measure(
             "grain", "grain", shape.grain, abs(shape.grain - finer.grain), 0.02, "1",
-            f"Friction differs by {_percent(2 * shape.grain)} along and across one direction of the table.",
+            f"Friction along and across one direction of the table differs by {_percent(2 * shape.grain)}.",
             "anisotropic_table",
         ),
         Measure(
             "lean", "leaning friction", np.degrees(shape.lean),
             np.degrees(abs(shape.lean - finer.lean)), 1.0, "°",
-            f"Friction leaves the line of motion by up to {np.degrees(shape.lean):.1f}°, with no grain to"
-            " explain it.", "impulse_friction",
+            f"Friction deviates from the line of motion by up to {np.degrees(shape.lean):.1f}°, which no"
+            " grain explains.", "impulse_friction",
         ),
     ]  # fmt: skip
     torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
     spins = [answers.spin / _expected_spin(answers, pyramid, shape) for answers in (full, half)]
     spin, unsure = _mean(spins[0]), _spread(*spins)
-    # Torsion is the same in place and in a slide; a pyramid resists a slow spin across its axes as it would.
+    # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
     has_torsion = (
         abs(torsion) > max(0.05, _SURE * torsion_unsure)
         and (spin - 1) / torsion > 0.5
@@ -336,16 +336,16 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
         result.append(
             Measure(
                 "torsion", "torsional friction", torsion, torsion_unsure, 0.05, "1",
-                f"A torque {way} any spin, with {_percent(abs(torsion))} of what Coulomb's law gives a"
-                " spin in place.", "torsional_friction" if torsion > 0 else None,
+                f"A torque {way} any spin, with {_percent(abs(torsion))} of the torque of a spin in place"
+                " under Coulomb's law.", "torsional_friction" if torsion > 0 else None,
             )
         )  # fmt: skip
     excess = spin - 1 - (torsion if has_torsion else 0.0)
     result.append(
         Measure(
             "load_follows_slip", "load that follows slip", excess, unsure, 0.05, "1",
-            f"A spin in place meets {1 + excess:.2f} times the torque that even loads have: cells that slip"
-            f" {'faster' if excess > 0 else 'slower'} carry more.", "slip_load",
+            f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
+            f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load",
         )
     )  # fmt: skip
     result.append(_creep_measure(full, half))
@@ -367,7 +367,7 @@ def _percent(share: float) -> str:
 
 
 def _expected_spin(answers: Answers, pyramid: Pyramid, shape: _Shape) -> FloatArray:
-    """(16,) torque of spins in place over Coulomb's, if friction had no more to it than slides show."""
+    """(16,) torque of spins in place relative to Coulomb's, as predicted from the slides."""
     slip = np.mean(LATE) * np.abs(SPINS) * plain_scene().mean_arm
     return np.asarray(pyramid.spin * np.interp(slip, STEADY_SPEEDS, answers.steady) / shape.along_x)
 
@@ -376,7 +376,7 @@ def _factor(full: Answers, half: Answers, shape: _Shape) -> Measure:
     value, finer = (float(answers.steady[0] / shape.along_x - 1) for answers in (full, half))
     return Measure(
         "factor", "friction off by a factor", value, abs(value - finer), 0.02, "1",
-        f"Friction of slow slides is {1 + value:.3f} times what the coefficient says.", None,
+        f"Friction of slow slides is {1 + value:.3f} times the value from the coefficient.", None,
     )  # fmt: skip
 
 
@@ -387,7 +387,7 @@ def _speed(full: Answers, half: Answers) -> Measure:
     slow, fast = STEADY_SPEEDS[0], STEADY_SPEEDS[-1]
     return Measure(
         "speed", "friction that depends on speed", rise(full), abs(rise(full) - rise(half)), 0.03, "1",
-        f"From {slow:g} to {fast:g} m/s friction changes by {_percent(rise(full))}.",
+        f"From {slow:g} to {fast:g} m/s, friction changes by {_percent(rise(full))}.",
         "viscous_friction" if rise(full) > 0 else "stribeck_friction",
     )  # fmt: skip
 
@@ -397,12 +397,12 @@ def _pyramid(shape: _Shape, finer: _Shape) -> Measure:
     change = abs(share - finer.pyramid.share) if kind == finer.pyramid.kind else share
     corner = 1 + share * ((np.sqrt(2) if kind == "square" else np.sqrt(0.5)) - 1)
     if kind == "square":
-        title, sentence = "friction pyramid, a square", "Along x and along y friction is solved by itself"
+        title, sentence = "friction pyramid, a square", "Friction along x and along y is solved independently"
     else:
-        title, sentence = "friction pyramid, a diamond", "Friction along x takes from friction along y"
+        title, sentence = "friction pyramid, a diamond", "Friction along x and along y share one limit"
     return Measure(
         kind, title, share, change, 0.1, "1",
-        f"{sentence}: on the world's diagonals it is {corner:.2f} times that along the axes.",
+        f"{sentence}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
         f"friction_{kind}",
     )  # fmt: skip
 
@@ -411,7 +411,7 @@ def _creep_measure(full: Answers, half: Answers) -> Measure:
     value = 1e3 * float(full.creep.max())
     return Measure(
         "creep", "creep", value, abs(value - 1e3 * float(half.creep.max())), 0.02, "mm/s",
-        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold the object creeps at"
+        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
         f" {value:.2g} mm/s.", None,
     )  # fmt: skip
 
@@ -421,7 +421,7 @@ def _sign(values: FloatArray) -> FloatArray:
 
 
 def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
-    """The pyramid that fits best, beside a grain and a lean."""
+    """The best-fitting pyramid, with a grain and a lean."""
     fits = []
     for kind in ("diamond", "square"):
 
@@ -433,8 +433,7 @@ def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
     _, kind, share = min(fits)
     _, waves = _beside_pyramid(answers, kind, share, dt, full_dt)
     grain, lean = float(np.hypot(*waves[:2])), float(np.hypot(*waves[2:]))
-    # Where friction changes with direction by a wave of size g, it leans by up to 2 g; what leans beyond is
-    # something else.
+    # A variation of friction with direction of amplitude g deflects it by up to 2 g; only the rest is a lean.
     return _Shape(
         Pyramid("square" if kind == "square" else "diamond", share), grain, 1 + float(waves[0]),
         max(lean - 2 * grain, 0.0),
@@ -444,7 +443,7 @@ def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
 def _beside_pyramid(
     answers: Answers, kind: str, share: float, dt: float, full_dt: float
 ) -> tuple[float, FloatArray]:
-    """Sum of squares that a pyramid and two waves a turn leave, and (4,) these: along motion, and across."""
+    """Sum of squares left by a pyramid and waves of period π; (4,) the waves, along motion and across."""
 
     def friction(direction: FloatArray) -> FloatArray:
         return (share - 1) * direction + share * pyramid_force(kind, direction)

@@ -1,4 +1,4 @@
-"""An audit: probes that name, and pushes of an object with known maps that price."""
+"""An audit: probes that name defects, and pushes of an object with known maps that price them."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, candidate_pushes
 
 COUNT = 24
-"""Pushes."""
+"""Number of pushes."""
 
 _SEED = 34
 _LENGTH, _SPEED = (0.04, 0.09), (0.03, 0.1)  # m after first touch; m/s
 _APPROACH, _RAMP, _REST = 5e-3, 0.05, 0.1  # m; s
 _STEP = 1e-3  # s, of the model
-_LOOKS = 12  # poses of a push that effects are fitted to
+_LOOKS = 12  # poses per push to which effects are fitted
 
 Report = Callable[[int], None]
-"""Called with how many pushes are done."""
+"""Called with the number of finished pushes."""
 
 
 @dataclass(frozen=True, eq=False)
 class StandardPushes:
-    """The pushes of an audit, and where they end by Coulomb's law."""
+    """The pushes of an audit, and their ends under Coulomb's law."""
 
     scene: EngineScene
     candidates: tuple[Candidate, ...]
     starts: FloatArray  # (24, 3) poses, world
-    times: FloatArray  # (24, 12) at which effects are fitted, s
-    law: FloatArray  # (24, 3) poses at the end by Coulomb's law, world
-    moved: float  # mean way of the object's points, m
+    times: FloatArray  # (24, 12) times of the poses to which effects are fitted, s
+    law: FloatArray  # (24, 3) final poses under Coulomb's law, world
+    moved: float  # mean displacement of the object's points, m
 
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """What an engine made of the pushes."""
+    """Results of the pushes in an engine."""
 
     ends: FloatArray  # (24, 3) poses, world
     looks: FloatArray  # (24, 12, 3) poses at `StandardPushes.times`
@@ -57,17 +57,17 @@ class Pushed:
 
     @property
     def price(self) -> float:
-        """The one number of an audit: mean of the errors, m."""
+        """Main result of an audit: mean of the errors, m."""
         return float(self.errors.mean())
 
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What an effect makes of an engine's pushes, the maps being held."""
+    """Fit of an effect to an engine's pushes with the maps held fixed."""
 
     effect: Effect
     values: FloatArray  # (P,) its parameters
-    errors: FloatArray  # (24,) as of `Pushed`, from the law with the effect, m
+    errors: FloatArray  # (24,) as in `Pushed`, but from the law with the effect, m
 
     @property
     def price(self) -> float:
@@ -76,7 +76,7 @@ class Explained:
 
 
 def standard_pushes() -> StandardPushes:
-    """The same for every audit."""
+    """The pushes of every audit."""
     scene, rng = two_material_scene(), np.random.default_rng(_SEED)
     candidates = candidate_pushes(
         scene.grid, scene.finger_radius, rng, COUNT, length=_LENGTH, speed=_SPEED, approach=_APPROACH
@@ -91,7 +91,7 @@ def standard_pushes() -> StandardPushes:
 
 
 def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Pushed:
-    """Make an engine do the pushes.
+    """Run the pushes in an engine.
 
     Raises:
         BadInput: the engine fails.
@@ -110,11 +110,11 @@ def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Push
 
 
 def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explained:
-    """Fit an effect's parameters to an engine's pushes, the maps being held.
+    """Fit an effect's parameters to an engine's pushes with the maps held fixed.
 
-    Least squares of the object's poses, an angle counting at the object's radius, from each of the effect's
-    starts; the best is kept. Errors beyond a millimetre count for less than their square: a push in which the
-    finger slips off another side must not lead all others.
+    Least squares over the object's poses, with angles scaled by the object's radius, from each of the
+    effect's start values; the best fit is kept. A robust loss (soft L1, 1 mm) keeps single pushes, such as
+    one in which the finger slips off another side, from dominating.
     """
     scene, grid = standard.scene, standard.scene.grid
     slider = Slider(grid, scene.finger_radius, effects=[effect])
@@ -155,7 +155,7 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
     spans = np.array([p.scale * weight**p.weight_power for p in effect.parameters])
     fits = []
     for begin in effect.start_values(around):
-        # A little off the null, where the parameters that shape an effect have no slope.
+        # Slightly off the null, where parameters that shape the effect have zero derivative.
         begin = np.clip(begin + np.where(effect.amplitudes, 0.1 * spans, 0.0), low, high)
         fits.append(
             least_squares(
@@ -168,7 +168,7 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
 
 
 def laws(effects: Sequence[Effect]) -> list[Effect]:
-    """Those of the effects that an engine may have: other laws of friction, load and contact."""
+    """Effects that an engine may have: other laws of friction, load and contact."""
     return [effect for effect in effects if effect.name in _LAWS]
 
 
@@ -185,32 +185,32 @@ def _push(candidate: Candidate, start: FloatArray, dt: float) -> Push:
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """What was found of one engine."""
+    """The audit of one engine."""
 
     name: str
     version: str  # name and version of its package, empty for a user's engine
     dt: float  # s
     answers: probes.Answers
-    measures: tuple[Measure, ...]  # of all that can be named
+    measures: tuple[Measure, ...]  # of all possible defects
     pushed: Pushed
     pushed_half: Pushed  # at half the time step
-    # effects that lower the price, the maps being held, the best first
+    # effects that lower the price with the maps held fixed, best first
     explained: tuple[Explained, ...]
     standard: StandardPushes
 
     @property
     def defects(self) -> list[Measure]:
-        """What is named."""
+        """Measures that are defects."""
         return [measure for measure in self.measures if measure.named]
 
     @property
     def remedies(self) -> list[str]:
-        """What to set to be nearer to Coulomb's law."""
+        """Settings that bring the engine closer to Coulomb's law."""
         found = (engines.remedy(self.name, defect.key) for defect in self.defects)
         return sorted(filter(None, found), key=lambda remedy: remedy.startswith("against"))
 
     def to_json(self) -> dict[str, Any]:
-        """The same as JSON knows it."""
+        """The audit as JSON."""
         return {
             "engine": self.name,
             "version": self.version,
@@ -272,7 +272,7 @@ def audit(
     tried = laws(LIBRARY) if pushed.price > _NOTHING else []
     explained = []
     for number, effect in enumerate(tried):
-        report(f"{subject.name}, what explains it: {effect.name}", number, len(tried))
+        report(f"{subject.name}, fitting effects: {effect.name}", number, len(tried))
         explained.append(explain(pushed, standard, effect))
     better = [one for one in explained if one.price < _LOWER * pushed.price]
     better.sort(key=lambda one: one.price)
@@ -285,21 +285,20 @@ def audit(
 def prices_beside(
     audited: Sequence[str], standard: StandardPushes, progress: Progress | None = None
 ) -> Mapping[str, float]:
-    """Prices, m, of the built-in engines that are installed, as they are set by default; of others than those
-    that are audited."""
+    """Prices, m, of the installed built-in engines with default settings, without the audited ones."""
     report, result = progress or silent, {}
     for name in engines.installed():
         if name not in audited:
-            counter = _counter(report, f"{name}, pushes to compare with", COUNT)
+            counter = _counter(report, f"{name}, pushes for comparison", COUNT)
             try:
                 result[name] = push_all(engines.find_engine(name), standard, counter).price
-            except BadInput:  # one that does not run here is none to compare with
+            except BadInput:  # an engine that does not run here is left out
                 continue
     return result
 
 
-_LOWER = 0.9  # of the price, at most, that an effect leaves
-_NOTHING = 5e-4  # m; a price below needs no explanation
+_LOWER = 0.9  # largest share of the price that an explaining effect may leave
+_NOTHING = 5e-4  # m; lower prices need no explanation
 
 
 def _counter(report: Progress, stage: str, total: int) -> probes.Report:

@@ -1,4 +1,4 @@
-"""How time and memory grow with cells, steps and models; each point in a process of its own, on one core."""
+"""Growth of time and memory with cells, steps and models; each point in its own process, on one core."""
 
 import json
 import os
@@ -18,7 +18,7 @@ MODELS = (1, 100, 1000)
 
 
 def sizes(cells: int, steps: int) -> Iterator[dict[str, int]]:
-    """Points to measure: one number grows while the others stay; at last the largest object times models."""
+    """Points to measure: one number grows while the others stay fixed; the last has most cells and models."""
     points = [(value, steps, 1) for value in CELLS]
     points += [(cells, value, 1) for value in STEPS]
     points += [(cells, steps, value) for value in MODELS]
@@ -33,7 +33,7 @@ def measure_growth(
     """Measurements of all `sizes`, see `measure`; `progress` is called with (stage, done, total).
 
     Raises:
-        RuntimeError: a measurement failed; the message has its last words.
+        RuntimeError: a measurement failed; the message ends with its last output.
     """
     results: list[dict[str, Any]] = []
     points = list(sizes(cells, steps))

@@ -1,7 +1,7 @@
 """The same push in other engines.
 
-MuJoCo: one free body of a box a cell, a finger on a rail with a velocity actuator. Bullet: a body a cell,
-held together by fixed joints, as the paper's authors did it.
+MuJoCo: a free body with one box per cell, and a finger on a rail with a velocity actuator. Bullet: a body per
+cell, held together by fixed joints, as in the paper.
 """
 
 import statistics
@@ -25,15 +25,15 @@ from slipmap.diagrams.application.benchmark.scene import (
 from slipmap.models.physics.cell_grid import FloatArray
 
 _SUBSTEPS = 5
-"""Steps of an engine in one of ours: its step is 1 ms. With 5 ms MuJoCo's contacts are not stable, and
-Bullet's final angle errs by a degree."""
+"""Steps of an engine per step of ours, so its step is 1 ms. With 5 ms, MuJoCo's contacts are unstable and
+Bullet's final angle is off by a degree."""
 
 _HALF_HEIGHT = 2e-3  # m; flat, so that the push shifts no load between cells
-_OUTLINE_MASS = 0.02  # kg, taken from the cells; Bullet's
+_OUTLINE_MASS = 0.02  # kg, taken from the cells; in Bullet
 _TABLE, _CELL, _OUTLINE, _FINGER = 1, 2, 4, 8  # Bullet's collision groups
 
-# MuJoCo's contact lifts what slides and takes each of a box's four corners for a support of its own. A low
-# impedance (solimp) lets the 4n corners share the weight; friction is damped so little that it hardly lifts.
+# MuJoCo's contacts lift sliding bodies, and each of a box's four corners is a contact. A low impedance
+# (solimp) lets the 4n corners share the weight; friction is damped so weakly that it hardly lifts.
 _TABLE_CONTACT = 'condim="3" solref="-40 -12" solreffriction="-40 -2" solimp="0.01 0.01 1"'
 _FINGER_CONTACT = 'condim="3" solref="-1e4 -200"'
 
@@ -60,7 +60,7 @@ def run_mujoco(scene: Scene, repeats: int) -> Outcome:
         return seconds, np.array([x, y, 2 * np.arctan2(sin, cos)])
 
     seconds, pose = _median_of_runs(simulate, repeats)
-    return Outcome(seconds, pose, f"MuJoCo {version('mujoco')}: one body, a box a cell, step 1 ms")
+    return Outcome(seconds, pose, f"MuJoCo {version('mujoco')}: one body, one box per cell, step 1 ms")
 
 
 def run_bullet(scene: Scene, repeats: int) -> Outcome:
@@ -85,11 +85,11 @@ def run_bullet(scene: Scene, repeats: int) -> Outcome:
         return seconds, np.array([position[0], position[1], 2 * np.arctan2(turn[2], turn[3])])
 
     seconds, pose = _median_of_runs(simulate, repeats)
-    return Outcome(seconds, pose, f"Bullet {version('pybullet')}: a body a cell, fixed joints, step 1 ms")
+    return Outcome(seconds, pose, f"Bullet {version('pybullet')}: one body per cell, fixed joints, step 1 ms")
 
 
 def _median_of_runs(run: Callable[[], tuple[float, FloatArray]], repeats: int) -> tuple[float, FloatArray]:
-    """Median of the durations that some runs report, s, and what the last one returned."""
+    """Median duration of some runs, s, and the final pose of the last one."""
     runs = [run() for _ in range(repeats)]
     return statistics.median(seconds for seconds, _ in runs), runs[-1][1]
 
@@ -97,8 +97,8 @@ def _median_of_runs(run: Callable[[], tuple[float, FloatArray]], repeats: int) -
 def _mujoco_description(scene: Scene) -> str:
     """The scene in MuJoCo's own format.
 
-    A cell's box has the side w/√3: in its corners it resists a spin as the square of side w does. A box of
-    the object's outline, without mass, meets the finger alone.
+    A cell's box has side w/√3: with contacts at its corners, it resists a spin like a square of side w. A
+    massless box of the object's outline touches only the finger.
     """
     half = scene.slider.grid.width / np.sqrt(12)
     cells, pairs = [], []
@@ -135,10 +135,10 @@ def _mujoco_description(scene: Scene) -> str:
 
 
 def _bullet_scene(p: ModuleType, scene: Scene, client: int) -> int:
-    """Put the scene into a client; returns the body of the outline, to which the cells are joined.
+    """Build the scene in a client; returns the body of the outline, to which the cells are joined.
 
-    A cell's box has the side w/√3: in its corners it resists a spin as the square of side w does. The outline
-    meets the finger alone, the cells meet the table alone. Bullet multiplies friction coefficients.
+    A cell's box has side w/√3: with contacts at its corners, it resists a spin like a square of side w. The
+    outline touches only the finger, the cells only the table. Bullet multiplies friction coefficients.
     """
     where = {"physicsClientId": client}
     p.setGravity(0, 0, -GRAVITY, **where)
@@ -180,9 +180,9 @@ def _box(p: ModuleType, half_sides: tuple[float, float, float], where: dict[str,
 def _set(
     p: ModuleType, body: int, link: int, friction: float, group: int, mask: int, where: dict[str, int]
 ) -> None:
-    """Friction of a link, no damping by the air, and what it can touch."""
+    """Set the friction of a link, no air damping, and what it can touch."""
     p.changeDynamics(body, link, lateralFriction=friction, **where)
     if link == -1:
-        # In one call with friction, and on the finger's link, damping would undo the friction.
+        # Set in the same call, or on the finger's link, damping would reset the friction.
         p.changeDynamics(body, link, linearDamping=0, angularDamping=0, **where)
     p.setCollisionFilterGroupMask(body, link, group, mask, **where)

@@ -1,11 +1,11 @@
-"""The convex step in plain numpy, written down from its formula: what compilation gains, and a check of it.
+"""The convex step in plain numpy, written from its formula: a check of the compiled step, and of its speed.
 
-For an object with a convex outline under one finger. Per step, in the frame at its predicted middle,
+For an object with a convex outline and one finger. Per step, in the frame at its predicted mid-point,
 
     v⁺ = argmin ½ (v - v*)ᵀ M (v - v*) + h Σ f_i sqrt(vᵀ K_i v + ε²) + ½ γ(v)ᵀ R γ(v)
 
-where K_i = J_iᵀ J_i + diag(0, 0, ρ²) and J_i maps the twist to the velocity of cell i. Nothing is shared with
-the compiled kernel but the definition of the model.
+where K_i = J_iᵀ J_i + diag(0, 0, ρ²) and J_i maps the twist to the velocity of cell i. It shares only the
+definition of the model with the compiled kernel.
 """
 
 from collections.abc import Callable
@@ -21,15 +21,15 @@ from slipmap.models.physics.rollout import Maps, Push, Slider
 _Derivatives = tuple[FloatArray, FloatArray]
 _Function = Callable[[FloatArray], _Derivatives]
 
-_TOLERANCE = 1e-9  # of the Newton step, m/s; convergence is quadratic
+_TOLERANCE = 1e-9  # m/s, for the Newton step; convergence is quadratic
 _MAX_ITERATIONS = 100
 
 
 def rollout(slider: Slider, maps: Maps, push: Push) -> FloatArray:
-    """(N + 1, 3) poses of the first of the maps, the start included.
+    """(N + 1, 3) poses under the first of the maps, including the start.
 
     Raises:
-        ValueError: the finger's centre comes to lie inside the object.
+        ValueError: the finger's centre enters the object.
         ArithmeticError: a step was not solved.
     """
     n, h = len(slider.grid), push.h
@@ -58,7 +58,7 @@ def rollout(slider: Slider, maps: Maps, push: Push) -> FloatArray:
 
 
 def _derivatives(smooth: _Function, touch: _Function | None, u: FloatArray) -> _Derivatives:
-    """Gradient and Hessian at the twist u of the whole function."""
+    """Gradient and Hessian of the whole function at the twist u."""
     gradient, hessian = smooth(u)
     if touch is None:
         return gradient, hessian
@@ -69,7 +69,7 @@ def _derivatives(smooth: _Function, touch: _Function | None, u: FloatArray) -> _
 def _smooth_derivatives(
     M: FloatArray, free: FloatArray, K: FloatArray, impulse: FloatArray, eps: float, u: FloatArray
 ) -> _Derivatives:
-    """Those of inertia, with momentum `free` of v*, and friction, with h f_i in `impulse`."""
+    """Gradient and Hessian of inertia, with momentum `free` of v*, and friction, with h f_i in `impulse`."""
     Ku = K @ u
     phi = np.sqrt(Ku @ u + eps**2)
     a = impulse / phi
@@ -90,7 +90,7 @@ def _moved(q: FloatArray, v: FloatArray, duration: float) -> FloatArray:
 
 
 def _free_momentum(M: FloatArray, v: FloatArray, h: float) -> FloatArray:
-    """M v* with no force: in the turned frame the centre of mass keeps its velocity, and the spin stays."""
+    """M v* without forces: in the rotated frame, the centre of mass keeps its velocity and the spin."""
     centre = np.array([M[1, 2], -M[0, 2]]) / M[0, 0]
     lever = np.array([-centre[1], centre[0]])
     velocity = _rotation(-h * v[2]) @ (v[:2] + v[2] * lever)
@@ -100,8 +100,8 @@ def _free_momentum(M: FloatArray, v: FloatArray, h: float) -> FloatArray:
 def _contact(
     slider: Slider, q: FloatArray, tip0: FloatArray, tip1: FloatArray, v: FloatArray, h: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Contact rows C (2, 3), offsets b (2,) and factors (2,): C u - b, times the factors, are the speeds of
-    normal and tangential spring.
+    """Contact rows C (2, 3), offsets b (2,) and factors (2,): C u - b times the factors are the speeds of the
+    normal and the tangential spring.
 
     None where the finger is out of reach.
     """
@@ -120,7 +120,7 @@ def _contact(
     tangent = np.array([-normal[1], normal[0]])
     lever = np.array([-point[1], point[0]])
     C = np.array([[*normal, normal @ lever], [*-tangent, -tangent @ lever]])
-    # The gap is known in the middle of the step; finger and object had closed it or opened it until there.
+    # The gap is known at the middle of the step; finger and object have closed or opened it until then.
     gap += 0.5 * h * (C[0] @ v - normal @ finger)
     depth = max(-gap, 0.0)
     share = depth**2 / (depth**2 + (slider.smoothing.penetration / 2) ** 2)
@@ -132,7 +132,7 @@ def _contact(
 def _contact_derivatives(
     C: FloatArray, b: FloatArray, factors: FloatArray, springs: FloatArray, mu: float, u: FloatArray
 ) -> _Derivatives:
-    """Those of ½ γᵀ R γ, where γ is the projection of the springs' impulses y on the cone."""
+    """Gradient and Hessian of ½ γᵀ R γ, where γ is the projection of the springs' impulses y on the cone."""
     springs = factors * springs
     y_n, y_t = springs * (C @ u - b)
     ratio = springs[0] / springs[1]
@@ -141,7 +141,7 @@ def _contact_derivatives(
     elif y_n + mu * ratio * abs(y_t) <= 0:
         projection = np.zeros((2, 2))
     else:
-        # On the cone's side: along the ray (1, ±mu), in the metric R.
+        # Onto the cone's surface: along the ray (1, ±mu), in the metric R.
         ray = np.array([1.0, np.copysign(mu, y_t)])
         projection = np.outer(ray, ray / springs) / (ray @ (ray / springs))
     gamma = projection @ (y_n, y_t)
@@ -149,7 +149,7 @@ def _contact_derivatives(
 
 
 def _minimum(function: _Function, v: FloatArray) -> FloatArray:
-    """Newton with an exact line search wherever the full step overshoots.
+    """Minimum by Newton's method, with an exact line search wherever the full step overshoots.
 
     Raises:
         ArithmeticError: no convergence.

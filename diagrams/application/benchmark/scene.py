@@ -25,20 +25,20 @@ FINGER_START = (0.03, -DEPTH / 2 - FINGER_RADIUS - 2e-4)
 
 @dataclass(frozen=True)
 class Scene:
-    """One object, K maps of it, and one push: a finger goes straight in +y against the long side, off centre.
+    """One object, K maps of it, and one push: a finger moves along +y against the long side, off-centre.
 
-    All cells have the same mass, so that in an engine with rigid bodies, too, each carries its own weight.
+    All cells have the same mass, so that each carries its own weight in rigid-body engines too.
     The friction coefficients are random.
     """
 
     slider: Slider  # the cell-grid model of the object
     maps: Maps  # K models
-    push: Push  # the finger's motion and the times at which poses are wanted, all ends of steps
+    push: Push  # the finger's motion, with poses at the ends of all steps
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one engine did."""
+    """Result of one engine."""
 
     seconds: float  # median time of one rollout, s
     final_pose: FloatArray  # (3,) x, y, θ of the object after the push, with the first of the maps
@@ -46,7 +46,7 @@ class Outcome:
 
 
 def make_scene(*, cells: int, models: int, steps: int, seed: int) -> Scene:
-    """The benchmark's push; `cells` is met as nearly as a grid over the rectangle can.
+    """The benchmark's push; the number of cells is as close to `cells` as a grid over the rectangle allows.
 
     Raises:
         ValueError: cells, models or steps below 1.
@@ -66,7 +66,7 @@ def make_scene(*, cells: int, models: int, steps: int, seed: int) -> Scene:
 def median_time(
     work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.process_time
 ) -> float:
-    """Median duration of some work, s; processor time suffers less from other programs."""
+    """Median duration of some work, s; processor time is less affected by other programs."""
     durations = []
     for _ in range(repeats):
         start = clock()

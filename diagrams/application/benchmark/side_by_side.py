@@ -1,4 +1,4 @@
-"""All engines on the same push in one run: the compiled rollout, plain numpy, MuJoCo and Bullet."""
+"""All engines on the same push: the compiled rollout, plain numpy, MuJoCo and Bullet."""
 
 import time
 from typing import Any
@@ -22,22 +22,22 @@ def run_benchmark(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Compare the compiled rollout with plain numpy, MuJoCo and Bullet, and see how it grows.
+    """Compare the compiled rollout with plain numpy, MuJoCo and Bullet, and measure how its cost grows.
 
     Engines whose package is missing are left out with a note.
 
     Args:
-        cells: wanted cells of the object.
-        models: maps that one call rolls out.
-        steps: steps of the push, of 5 ms.
-        repeats: runs of which the median is taken.
+        cells: intended number of cells of the object.
+        models: number of maps that one call rolls out.
+        steps: of the push, each 5 ms.
+        repeats: number of runs; times are their medians.
         seed: of the friction maps.
 
     Returns:
-        A dict that JSON can hold: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
+        A JSON-serialisable dict: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
         first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `_time_rollouts`;
         `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
-        what `growth.measure` returns.
+        results of `growth.measure`.
 
     Raises:
         ValueError: a number below 1.
@@ -80,10 +80,10 @@ def run_benchmark(
 
 
 def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], dict[str, float]]:
-    """Time all models of the scene under its push; the number of threads is put back at the end.
+    """Time all models of the scene under its push; restores the number of threads at the end.
 
     Returns:
-        The outcomes, and what one rollout consists of: `evaluations_per_step`, sums over all cells in a step;
+        The outcomes, and the cost of one rollout: `evaluations_per_step`, sums over all cells in a step;
         `ns_per_cell_evaluation`, time of the whole rollout over cells and evaluations, ns;
         `jacobian_rollouts`, time with the derivatives of all poses over the time without; `columns`,
         parameters of that Jacobian.
@@ -110,7 +110,7 @@ def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], dict
     outcomes = {
         "slipmap, one core": Outcome(together, pose, f"{models} models in one call"),
         f"slipmap, {threads} cores": Outcome(
-            parallel, pose, f"{models} models in one call; wall time, which needs idle cores"
+            parallel, pose, f"{models} models in one call; wall time, valid on idle cores only"
         ),
         "slipmap, single call": Outcome(single, pose, "one model in one call, one core"),
     }
@@ -124,7 +124,7 @@ def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], dict
 
 
 def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:
-    """Outcome of plain numpy, and the largest difference of one of its poses from ours."""
+    """Outcome of plain numpy, and the largest difference of its poses from ours."""
     poses = plain_numpy.rollout(scene.slider, scene.maps, scene.push)
     ours = scene.slider.rollout(scene.maps[:1], [scene.push]).poses[0]
     difference = float(np.abs(poses[1:] - ours).max())
@@ -133,7 +133,7 @@ def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:
 
 
 def format_table(result: dict[str, Any]) -> str:
-    """Plain text, at most 80 columns wide, of a result of `run_benchmark`."""
+    """A result of `run_benchmark` as plain text of at most 80 columns."""
     return "\n".join([*_engines(result), "", *_kernel(result), "", *_growth(result)])
 
 
@@ -144,7 +144,7 @@ def _engines(result: dict[str, Any]) -> list[str]:
             ms=1e3 * scene["step"], **scene
         ),
         "",
-        f"{'':24}{'ms a rollout':>13}{'ratio':>9}   final x, y (mm), angle (deg)",
+        f"{'':24}{'ms/rollout':>13}{'ratio':>9}   final x, y (mm), angle (deg)",
     ]
     for engine in result["engines"]:
         x, y, angle = engine["final_pose"]
@@ -154,7 +154,7 @@ def _engines(result: dict[str, Any]) -> list[str]:
         )
         lines.append(f"  {engine['remark']}")
     lines += [f"{name}: {note}" for name, note in result["missing"].items()]
-    lines.append("Processor time of one core, except where wall time is said.")
+    lines.append("Times are processor time of one core, unless marked as wall time.")
     return lines
 
 
@@ -162,8 +162,8 @@ def _kernel(result: dict[str, Any]) -> list[str]:
     kernel = result["kernel"]
     return [
         "Per cell and energy evaluation    {ns_per_cell_evaluation:.3g} ns".format(**kernel),
-        "Evaluations a step                {evaluations_per_step:.3g}".format(**kernel),
-        "All poses by {columns} parameters      {jacobian_rollouts:.3g} rollouts".format(**kernel),
+        "Evaluations per step              {evaluations_per_step:.3g}".format(**kernel),
+        "Jacobian, {columns} parameters         {jacobian_rollouts:.3g} rollouts".format(**kernel),
         f"Largest difference from numpy     {result['numpy_difference']:.1e} (m, rad)",
     ]
 
@@ -171,7 +171,7 @@ def _kernel(result: dict[str, Any]) -> list[str]:
 def _growth(result: dict[str, Any]) -> list[str]:
     lines = [
         "Growth, on one core",
-        f"{'cells':>8}{'steps':>8}{'models':>8}{'ms a rollout':>15}{'ns/cell/eval.':>15}{'peak MiB':>10}",
+        f"{'cells':>8}{'steps':>8}{'models':>8}{'ms/rollout':>15}{'ns/cell/eval.':>15}{'peak MiB':>10}",
     ]
     for row in result["growth"]:
         lines.append(

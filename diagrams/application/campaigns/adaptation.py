@@ -1,7 +1,7 @@
-"""Whether a robot that repairs its model on the way names what was hidden from it, and what that is good for.
+"""Whether a robot that repairs its model during a run names what was hidden from it, and what that gains.
 
-Beyond the paper. Each cell of the station is run twice, with `--adapt` and without: explored, brought to the
-edge, grasped and lifted.
+Beyond the paper. Each cell of the station runs twice, with and without `--adapt`: the object is explored,
+brought to the edge, grasped and lifted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROBOTS = ("adapting", "plain")
-"""How the robot is run: with `--adapt`, or without."""
+"""How the robot runs: with or without `--adapt`."""
 
 NOTHING = "nothing"
 
@@ -36,14 +36,14 @@ HIDDEN: dict[str, HiddenEffectsConfig] = {
     NOTHING: HiddenEffectsConfig(),
     "tilt": HiddenEffectsConfig(table_tilt=TableTilt(down_x=float(np.radians(2.0)))),
     "latency": HiddenEffectsConfig(sensor_latency=SensorLatency(0.08)),
-    # Friction is halved on a place beside the middle.
+    # Friction is halved on a patch beside the middle.
     "patch": HiddenEffectsConfig(
         table_friction_field=TableFrictionField(patch=-0.7, patch_x=0.08, patch_y=0.05, patch_radius=0.12)
     ),
     "film": HiddenEffectsConfig(viscous_friction=ViscousFriction(400.0)),
     "tether": HiddenEffectsConfig(tether=Tether(stiffness=5.0, anchor_x=0.35, anchor_y=0.2, slack=0.2)),
 }
-"""What is hidden, by the words of the table."""
+"""What is hidden, by its name in the tables."""
 
 NAMES = {
     "tilt": "table_tilt",
@@ -52,28 +52,28 @@ NAMES = {
     "film": "viscous_friction",
     "tether": "tether",
 }
-"""The effect of the library that is right."""
+"""The correct effect of the library for each hidden effect."""
 
 FELL = 0.4
-"""Share of the error before to which another effect has to lower that of the next pushes to be equivalent."""
+"""Ratio of the error after to before at or below which another effect counts as equivalent."""
 
 NEXT = 5
-"""Pushes after the adoption that count."""
+"""Number of pushes after the adoption that count."""
 
 
 def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:
-    """Let the robot take an object; see `whole_procedure`.
+    """Let the robot fetch an object; see `whole_procedure`.
 
     Args:
         hidden: one of `HIDDEN`.
         robot: one of `ROBOTS`.
 
     Returns:
-        What `PregraspRun.to_json` tells, `yaw`, `judged`, how far each push that was predicted ended off and
-        moved the object (m), its p, whether there was an alarm, and with which effects, and `repair`.
+        The content of `PregraspRun.to_json`, `yaw`, `judged` (for each predicted push its error and how far
+        it moved the object, m, its p, whether there was an alarm, and the effects of the model) and `repair`.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C, which says nothing of the object.
+        KeyboardInterrupt: Ctrl-C, which is no result.
     """
     scenario = Scenario(hidden=HIDDEN[hidden])
     told, run = taken(scenario, seed, object_name, "probabilistic", adapt=robot == "adapting")
@@ -88,13 +88,13 @@ def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
 
 
 def adopted(result: dict[str, Any]) -> list[str]:
-    """Effects that the model had in the end."""
+    """Effects of the model at the end."""
     return [] if result["repair"] is None else list(result["repair"]["effects"])
 
 
 def errors_by_adoption(result: dict[str, Any]) -> tuple[float, float] | None:
-    """Median share of the way by which pushes ended off, before the effects that the model has in the end and
-    over the next ones with them; None where there are none of either."""
+    """Median error of pushes as a share of their way: before the final effects were adopted, and for the next
+    `NEXT` pushes with them; None where either is missing."""
     effects = set(adopted(result))
     with_them = [push for push in result["judged"] if effects and effects <= set(push["effects"])]
     if not with_them:
@@ -110,7 +110,7 @@ def errors_by_adoption(result: dict[str, Any]) -> tuple[float, float] | None:
 
 
 def answer(hidden: str, result: dict[str, Any]) -> str:
-    """What the robot made of what was hidden: `none` adopted, `named`, `equivalent`, or `other`."""
+    """How the robot dealt with the hidden effect: `none` adopted, `named`, `equivalent`, or `other`."""
     effects = adopted(result)
     if not effects:
         return "none"
@@ -162,17 +162,17 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))
     return experiments.Summary(
         [
-            experiments.TableText("What was adopted", ("hidden", "trials", *_ANSWERS, "right, %"), answers),
+            experiments.TableText("Effects adopted", ("hidden", "trials", *_ANSWERS, "right, %"), answers),
             experiments.TableText(
-                "Where pushes end off their prediction, median of a trial, % of their way",
+                "Error of predicted ends, median of a trial, % of the push's way",
                 ("hidden", "trials", "before", "with the effect", "ratio"),
                 off,
             ),
             experiments.TableText(title, columns, delivered),
             experiments.TableText("How trials ended", ("hidden", *ROBOTS), fates),
         ],
-        f"Another effect is equivalent where it lowers the error of the next {NEXT} pushes to {FELL:.0%} or"
-        " less; where nothing is hidden, none is right. Pushes are those to the edge.",
+        f"Another effect counts as equivalent if it lowers the error of the next {NEXT} pushes to {FELL:.0%}"
+        " or less; where nothing is hidden, `none` is right. Only pushes towards the edge are counted.",
         {"hidden": document},
         lambda: [_figure(title, held)],
     )

@@ -1,8 +1,8 @@
-"""Beyond the paper: how many pushes end where the belief says they will, in the middle and at the rim.
+"""Beyond the paper: how many pushes end within the belief's regions, on the table and at its rim.
 
-An object is explored as for Figure 6, brought from the table's middle to the edge, pushed off it again, and
-brought back. Every push is then predicted from where it began, with the finger's recorded way, and its end
-looked up in the belief's regions.
+An object is explored as for Figure 6, brought from the table's middle to the edge, pushed away from it, and
+brought back. Every push is then predicted from its start with the recorded finger path, and its end is
+compared with the belief's regions.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PLACES = ("table", "rim_at_end", "over_rim")
-"""Of a push: the table carries all cells before and after; not all after; not all before."""
+"""Kinds of pushes: the table carries all cells before and after; not all after; not all before."""
 
 LEVELS = (0.5, 0.9, 0.95)
 TRIALS_A_BELIEF = 5
-"""Trials with one and the same belief."""
+"""Trials that share one belief."""
 
-_VISITS = 2  # of the edge in a trial
-_BACK = (0.05, 0.12)  # m, by how much a push is to take the object off the edge again
-_TURN = np.radians(40.0)  # by how much it is to turn it at most
+_VISITS = 2  # to the edge in a trial
+_BACK = (0.05, 0.12)  # m, how far a push is to move the object away from the edge
+_TURN = np.radians(40.0)  # rad, how far it is to turn the object at most
 
 
 def trial(*, seed: int, truth: str, object_name: str, belief_seed: int) -> dict[str, Any]:
-    """Bring the object to the edge, off it, and there again, and look up where pushes ended.
+    """Bring the object to the edge, away from it and back, and compare the ends with the belief's regions.
 
     Returns:
-        `pushes`, each with its `place` (one of `PLACES`), `rarity` (how often a push of a right model ends at
-        least as far out), `error` (ADD, m) and `spread` (of the hypotheses, m); `lost`: pushes after which
-        the object did not lie on the table, which are left out.
+        `pushes`, each with its `place` (one of `PLACES`), `rarity` (probability under a correct model of an
+        end at least as far out), `error` (ADD, m) and `spread` (of the hypotheses, m); `lost`: number of
+        pushes left out because the object no longer lay on the table.
     """
     belief = identified(truth, object_name, belief_seed)
     world = world_of(truth, object_name)
@@ -63,7 +63,7 @@ def trial(*, seed: int, truth: str, object_name: str, belief_seed: int) -> dict[
 
 
 def pushes_at_the_edge(world: DirectWorld, belief: Belief, rng: np.random.Generator) -> list[Trial]:
-    """Pushes from where the object lies to the edge, off it, and on; until it falls or no push is left."""
+    """Pushes to the edge, away from it and back, until the object falls or no push is left."""
     settings = PregraspSettings()
     made: list[Trial] = []
     for visit in range(_VISITS):
@@ -83,21 +83,21 @@ def pushes_at_the_edge(world: DirectWorld, belief: Belief, rng: np.random.Genera
 
 
 def _off_the_edge(pose: FloatArray, table: Table, rng: np.random.Generator) -> FloatArray:
-    """(3,) a pose nearer to the table's middle."""
+    """(3,) a pose nearer to the middle of the table."""
     inward = np.asarray(table.center) - pose[:2]
     inward = inward / max(float(np.hypot(*inward)), 1e-9)
     return np.array([*(pose[:2] + rng.uniform(*_BACK) * inward), pose[2] + rng.uniform(-_TURN, _TURN)])
 
 
 def place_of(start: FloatArray, end: FloatArray, grid: CellGrid, table: Table) -> str:
-    """Which of `PLACES` a push from one pose (3,) to another is in."""
+    """The kind, one of `PLACES`, of a push from one pose (3,) to another."""
     if _sticks_out(start, grid, table):
         return "over_rim"
     return "rim_at_end" if _sticks_out(end, grid, table) else "table"
 
 
 def _sticks_out(pose: FloatArray, grid: CellGrid, table: Table) -> bool:
-    """Whether the middle of any cell is beyond the rim."""
+    """Whether the centre of any cell is beyond the rim."""
     off = placed(grid.centers, pose) - np.asarray(table.center)
     if table.radius is not None:
         return bool((np.hypot(*off.T) > table.radius).any())
@@ -115,7 +115,7 @@ def _told(push: Prediction, grid: CellGrid, table: Table) -> dict[str, Any]:
 
 
 def coverage(pushes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """By place: how many pushes, which share of them each region holds, and medians; None without pushes."""
+    """By place: number of pushes, share inside each region, and medians; None without pushes."""
     found = {}
     for place in PLACES:
         here = [push for push in pushes if push["place"] == place]
@@ -147,13 +147,13 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         [
             experiments.TableText(
                 "Pushes that end inside the belief's regions, %",
-                ("object", "", "pushes", *(f"{x:.0%}" for x in LEVELS), "off, mm", "spread, mm"),
+                ("object", "", "pushes", *(f"{x:.0%}" for x in LEVELS), "error, mm", "spread, mm"),
                 rows,
             )
         ],
-        "Errors and spreads are medians. Pushes of one belief have its errors in common: intervals, which"
-        f" take them for independent, are too narrow. {lost} pushes after which the object did not lie on the"
-        " table are left out.",
+        "Errors (ADD: mean distance between predicted and measured cells) and spreads are medians. Pushes"
+        " with the same belief share its errors, so the intervals, which treat them as independent, are too"
+        f" narrow. {lost} pushes after which the object did not lie on the table are left out.",
         {"coverage": found, "lost": lost},
         lambda: _figure(pushes),
     )

@@ -1,4 +1,4 @@
-"""A second truth beside Drake's: the object in Bullet, one rigid body on a foot a cell."""
+"""A second true world beside Drake's: the object in Bullet, a rigid body with one foot per cell."""
 
 import numpy as np
 import shapely
@@ -25,17 +25,17 @@ from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 STEP = 2e-3
 """s"""
 
-_SINK = 2e-4  # m; of every foot under the weight of its cell
-_CLEARANCE = 4e-4  # m; of the prisms above the feet
+_SINK = 2e-4  # m; penetration of every foot under the weight of its cell
+_CLEARANCE = 4e-4  # m; between the feet's lower end and the prisms
 _FOOT_RADIUS = 2e-3  # m
-_MARGIN = 1e-3  # m; by which Bullet blows up convex hulls
+_MARGIN = 1e-3  # m; by which Bullet inflates convex hulls
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
 _AWAY = np.array([20.0, 20.0])
 _ITERATIONS = 50
-_CONTACTS = 4  # that Bullet keeps between two bodies
-_APART = 0.03  # m; contacts closer than 20 mm to each other it takes for one
+_CONTACTS = 4  # contacts that Bullet keeps between two bodies
+_APART = 0.03  # m; Bullet merges contacts closer than 20 mm
 _TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
 
 Pose = tuple[list[float], list[float]]
@@ -43,10 +43,10 @@ Pose = tuple[list[float], list[float]]
 
 
 class BulletWorld(DirectWorld):
-    """The object on one round foot a cell, each with its own friction and as stiff as its cell is heavy.
+    """The object on one round foot per cell, with the cell's friction and stiffness in proportion to weight.
 
-    Finger and table's edge touch upright prisms of the object's outline. Friction coefficients are those of
-    the true object: Bullet multiplies the two of a pair, the other is 1.
+    Finger and table edge touch upright prisms of the object's outline. Friction coefficients are those of the
+    true object: Bullet multiplies the two of a pair, and the other is 1.
 
     Raises:
         ModuleNotFoundError: pybullet is not installed.
@@ -59,7 +59,7 @@ class BulletWorld(DirectWorld):
             import pybullet
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                "Bullet is not installed; `pip install 'slipmap[bench]'` brings it"
+                "Bullet is not installed; install it with `pip install 'slipmap[bench]'`"
             ) from error
         super().__init__(true_object, table, noise)
         self._p = pybullet
@@ -100,7 +100,7 @@ class BulletWorld(DirectWorld):
             p.stepSimulation(**where)
             states = p.getJointStates(self._finger, [0, 1], **where)
             now = np.array([state[0] for state in states])
-            # The finger is so light that its drive does nothing but push.
+            # The finger is so light that its drive force is the contact force.
             total = total + [state[3] for state in states]
             if step % stride == 0:
                 poses.append(self._pose())
@@ -147,9 +147,9 @@ class BulletWorld(DirectWorld):
             p.setCollisionFilterGroupMask(body, -1, _TABLE, _FEET | _BLOCKS, **where)
 
     def _add_object(self) -> int:
-        """A body with all the mass; feet and prisms are links without weight.
+        """A body with all the mass; feet and prisms are massless links.
 
-        Some feet of equal cells are one link: what Bullet computes for each contact grows with the links.
+        Feet of equal cells share links, because Bullet's cost per contact grows with the number of links.
         """
         p, where, thing = self._p, self._where, self.true_object
         inertia, self._X_OI = self._principal()
@@ -174,7 +174,7 @@ class BulletWorld(DirectWorld):
                 contactDamping=2 * np.sqrt(stiffness * mass), **where,
             )  # fmt: skip
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
-        # Of the prisms, which hang just above the table, only what touches counts.
+        # The prisms hang just above the table: only real contacts count.
         for block in range(n, count):
             p.changeDynamics(
                 body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
@@ -183,7 +183,7 @@ class BulletWorld(DirectWorld):
         return body
 
     def _feet(self, centers: FloatArray) -> int:
-        """A shape of spheres under cells (k, 2)."""
+        """A shape of spheres under cells with centres (k, 2)."""
         p, count = self._p, len(centers)
         return int(
             p.createCollisionShapeArray(
@@ -203,7 +203,7 @@ class BulletWorld(DirectWorld):
         return moments, (middle.tolist(), [x, y, z, w])
 
     def _prisms(self) -> list[FloatArray]:
-        """(k, 3) corners of convex prisms, smaller by what Bullet adds, object frame."""
+        """(k, 3) corners of convex prisms, shrunk by the margin that Bullet adds, object frame."""
         result = []
         for block in self.true_object.blocks:
             ends = (_CLEARANCE + _MARGIN, block.height - _MARGIN)
@@ -222,7 +222,7 @@ class BulletWorld(DirectWorld):
 
 
 def _groups(thing: TrueObject) -> list[list[int]]:
-    """Cells of equal weight and friction, so few and so far apart that Bullet keeps a contact for each."""
+    """Groups of cells of equal mass and friction, few and far enough apart for Bullet's contacts."""
     groups: list[list[int]] = []
     for cell, center in enumerate(thing.grid.centers):
         for group in groups:

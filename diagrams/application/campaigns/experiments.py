@@ -1,6 +1,6 @@
-"""The experiments that `slipmap campaign` knows, what each has, and what the paper reports of them.
+"""The experiments of `slipmap campaign`, their settings, and the paper's results.
 
-Naming them loads nothing that is large. The paper's numbers are read off the figures and tables of Song and
+Listing them loads nothing large. The paper's numbers are read off the figures and tables of Song and
 Boularias (IROS 2020).
 """
 
@@ -24,11 +24,11 @@ ABOUT = {
     "fig5": "stable goals at the table's edge",
     "fig6": "pushing to the table's edge by four methods",
     "fig7": "the whole procedure with arm and camera",
-    "tilt": "pushing over a tilted table without and with the tilt in the model",
-    "coverage": "pushes to the table's edge that end where the belief says",
-    "adapt": "a robot that repairs its model, with something hidden from it",
+    "tilt": "pushing over a tilted table, with and without the tilt in the model",
+    "coverage": "share of pushes at the table's edge that end within the belief's regions",
+    "adapt": "a robot that repairs its model while an effect is hidden from it",
 }
-"""Every experiment, named after the paper's figure, and what goes beyond the paper."""
+"""All experiments: those of the paper by figure, then those beyond it."""
 
 _PLACES = {
     "fig3": "learning_curves:FIGURE_3",
@@ -57,7 +57,7 @@ def experiment_of(name: str) -> Experiment:
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as it is shown."""
+    """A table to print."""
 
     title: str
     columns: tuple[str, ...]
@@ -66,35 +66,34 @@ class TableText:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What the trials of a campaign say."""
+    """Results of the trials of a campaign."""
 
-    tables: list[TableText]  # with the paper's numbers where it has any
+    tables: list[TableText]  # with the paper's numbers, if any
     remark: str  # on the comparison
-    document: dict[str, Any]  # the same for programs
+    document: dict[str, Any]  # the same as JSON
     figures: Callable[[], list[Figure]]  # draws them
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper."""
+    """One experiment of the paper or beyond it."""
 
     name: str  # of the figure, such as `fig3`
-    trials: int  # of each object and variant, unless told otherwise
-    # function of one, which takes `seed`, `object_name`, `truth` unless there is but one, and what the next
-    # two say
+    trials: int  # default number for each object and variant
+    # runs one trial; takes `seed`, `object_name`, `truth` (unless `plant_alone`), the keys of `varied`, and
+    # `belief_seed` if `seeds_a_belief` is not 0
     trial: Callable[..., dict[str, Any]]
     summary: Callable[[Sequence[TrialOutcome]], Summary]  # of their outcomes; failed ones have no result
-    # parameters and their values, such as the methods that are compared, tried in every combination
+    # parameters and their values, such as the methods compared; all combinations are run
     varied: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    # trials with one and the same belief, of whose seed they are told as `belief_seed`; 0 where each has its
-    # own
+    # trials that share one belief, whose seed they receive as `belief_seed`; 0 where each has its own
     seeds_a_belief: int = 0
-    plant_alone: str = ""  # what is simulated by Drake's plant alone; empty where any truth will do
-    objects: tuple[str, ...] = ()  # that are tried, unless told otherwise; all six where empty
+    plant_alone: str = ""  # what only Drake's plant simulates; empty where any truth will do
+    objects: tuple[str, ...] = ()  # default objects; all six where empty
 
     def specs(self, objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-        """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
-        something of each.
+        """A trial for every seed, object and variant; seeds vary slowest, so that an unfinished campaign has
+        results of every object.
 
         Args:
             trials: of each object and variant.
@@ -106,9 +105,7 @@ class Experiment:
         from slipmap.diagrams.application.campaigns.trials import CampaignError, TrialSpec
 
         if self.plant_alone and truth != "plant":
-            raise CampaignError(
-                f"{self.name}: {self.plant_alone} is simulated by plant alone; leave out --truth"
-            )
+            raise CampaignError(f"{self.name}: only plant simulates {self.plant_alone}; leave out --truth")
         fixed = {} if self.plant_alone else {"truth": truth}
         variants = [dict(zip(self.varied, values, strict=True)) for values in product(*self.varied.values())]
 
@@ -129,7 +126,7 @@ class Experiment:
 
 
 def as_json(estimates: Any) -> Any:
-    """Mappings and lists of estimates for programs."""
+    """Mappings and lists of estimates as JSON."""
     if isinstance(estimates, Mapping):
         return {name: as_json(one) for name, one in estimates.items()}
     return [as_json(one) for one in estimates] if isinstance(estimates, list) else estimates.to_json()

@@ -1,4 +1,4 @@
-"""Figures 3 and 4 of the paper: how well further pushes are predicted after one push, two pushes, and on."""
+"""Figures 3 and 4 of the paper: how well further pushes are predicted after one to five pushes."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PUSHES = 5
-"""To learn from, at most; as many as the paper's identification has."""
+"""Most pushes to learn from, as many as in the paper."""
 CHECKS = 10
-"""Random pushes of other placements, by which a belief is judged."""
+"""Random pushes of other placements that test a belief."""
 MODELS = ("identified", "uniform", "Algorithm 1")
-"""Compared in figure 4: the default method, its uniform object, and Algorithm 1 as printed."""
+"""Models compared in figure 4: the default method, its uniform object, and Algorithm 1 as printed."""
 
 Curves = dict[str, dict[str, list[list[float]]]]
-"""Object, what is compared, and for each trial the errors (m) after 1 to `PUSHES` pushes."""
+"""Per object and per compared variant, for each trial, the errors (m) after 1 to `PUSHES` pushes."""
 
 
 def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) -> dict[str, Any]:
-    """Trial of figure 3: errors (m) on the same further pushes, after 1 to `PUSHES` pushes of a strategy."""
+    """Trial of figure 3: errors (m) on the same test pushes after 1 to `PUSHES` pushes of a strategy."""
     world = world_of(truth, object_name)
     checks = _pushes(world, CHECKS, "random", seed, 0)
     trials = _pushes(world, PUSHES, strategy, seed, 1)
@@ -43,7 +43,7 @@ def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) 
 
 
 def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
-    """Trial of figure 4: errors (m) of every model on further pushes, after 1 to `PUSHES` random pushes."""
+    """Trial of figure 4: errors (m) of every model on test pushes after 1 to `PUSHES` random pushes."""
     world = world_of(truth, object_name)
     checks = _pushes(world, CHECKS, "random", seed, 0)
     trials = _pushes(world, PUSHES, "random", seed, 1)
@@ -62,7 +62,7 @@ def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
 
 
 def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: int) -> Sequence[Trial]:
-    """Pushes of an object that is put down at the table's middle, turned at random."""
+    """Pushes of an object placed at the middle of the table with a random orientation."""
 
     def learn(trials: Sequence[Trial]) -> Belief:
         return identify(as_dataset(world, trials), seed=seed, friction_laws=False).belief
@@ -82,10 +82,11 @@ def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             of_object = curves.setdefault(parameters["object_name"], {name: [] for name in STRATEGIES})
             of_object[parameters["strategy"]].append(outcome.result["errors"])
     remark = (
-        "The paper's figure 3 has no numbers in its text; it finds no clear advantage of choosing pushes over"
-        " random ones."
+        "The paper gives no numbers for its figure 3; it finds no clear advantage of chosen over random"
+        " pushes."
     )
-    return _summary("Error after N pushes chosen by a strategy (mean ADD, mm)", "strategy", curves, remark)
+    title = "Error after N pushes chosen by a strategy (ADD: mean distance of cells, mm)"
+    return _summary(title, "strategy", curves, remark)
 
 
 def _model_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
@@ -96,10 +97,10 @@ def _model_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             for model, errors in curves.setdefault(name, {model: [] for model in MODELS}).items():
                 errors.append(outcome.result["errors"][model])
     remark = (
-        "The paper's figure 4 has no numbers in its text; there, identified models predict better the more"
-        " pushes they have seen."
+        "The paper gives no numbers for its figure 4; there, identified models predict better with more"
+        " pushes."
     )
-    return _summary("Error after N random pushes (mean ADD, mm)", "model", curves, remark)
+    return _summary("Error after N random pushes (ADD: mean distance of cells, mm)", "model", curves, remark)
 
 
 def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.Summary:

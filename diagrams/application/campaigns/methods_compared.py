@@ -1,4 +1,4 @@
-"""Objects by methods, as in figures 6 and 7: how often each succeeds, by how many pushes, how trials end."""
+"""Objects by methods, as in figures 6 and 7: success rates, numbers of pushes, and how trials end."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ALL = "all"
-"""Row of every object together."""
+"""Row of all objects together."""
 
 Paper = Mapping[str, Mapping[str, float]]
-"""Object, method, success in %; not every object or method need be there."""
+"""Success in % by object and method; not all need be present."""
 
 
 @dataclass(frozen=True, eq=False)
 class MethodsCompared:
-    """What trials with each of some methods or models say; each has a `fate` and `pushes`."""
+    """Results of trials with several methods or models; each result has a `fate` and `pushes`."""
 
-    # object, method, results of trials, the row `ALL` included if wanted
+    # results of trials by object and method, with the row `ALL` if requested
     results: dict[str, dict[str, list[dict[str, Any]]]]
-    success: dict[str, dict[str, Estimate]]  # object, method, share of trials
-    pushes: dict[str, Estimate]  # method, their mean number
-    fates: dict[str, Counter[str]]  # method, how many trials had which
+    success: dict[str, dict[str, Estimate]]  # share of trials by object and method
+    pushes: dict[str, Estimate]  # mean number by method
+    fates: dict[str, Counter[str]]  # numbers of trials by method and fate
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """In the order of the columns."""
+        """Methods, in the order of the columns."""
         return tuple(self.pushes)
 
     def success_table(self, title: str, paper: Paper) -> TableText:
-        """Success in %, with the paper's below."""
+        """Table of success in %, with the paper's below."""
         rows = []
         for name, of_methods in self.success.items():
             rows.append([name, *(one.percent() for one in of_methods.values())])
@@ -49,7 +49,7 @@ class MethodsCompared:
     def ways_table(
         self, title: str, label: str, fates: Sequence[str], paper: Mapping[str, float] | None = None
     ) -> TableText:
-        """Pushes, with the paper's below, and how many trials had each of the fates."""
+        """Table of the numbers of pushes, with the paper's below, and of trials with each fate."""
         rows = [[label, *(one.short(digits=2) for one in self.pushes.values())]]
         if paper is not None:
             rows.append(["  paper", *(f"{paper[method]:.2f}" for method in self.methods)])
@@ -60,12 +60,12 @@ class MethodsCompared:
         return TableText(title, ("", *self.methods), rows)
 
     def to_json(self, success: str) -> dict[str, Any]:
-        """For programs; the shares under the key `success`."""
+        """As JSON, with the shares of success under the key `success`."""
         fates = {method: dict(of) for method, of in self.fates.items()}
         return {success: as_json(self.success), "pushes": as_json(self.pushes), "fates": fates}
 
     def figures(self, title: str, paper: Paper) -> list[Figure]:
-        """Bars of success, marked with the paper's."""
+        """Bars of success, with marks for the paper's."""
         from slipmap.diagrams.application.figures.study_figures import shares_figure
 
         marks = {name: {method: (value, value) for method, value in of.items()} for name, of in paper.items()}
@@ -81,13 +81,13 @@ def compare_methods(
     parameter: str = "method",
     methods: Sequence[str] = METHODS,
 ) -> MethodsCompared:
-    """Sum up trials; failed ones have no result and do not count.
+    """Summarise trials; failed ones have no result and do not count.
 
     Args:
-        good: the fate that is success.
-        pushes: number of them, of a result.
+        good: the fate that counts as success.
+        pushes: number of pushes of a result.
         together: whether to add a row `ALL`.
-        parameter: of a trial, which says its method.
+        parameter: of a trial, which holds its method.
         methods: in the order of the columns.
     """
     results: dict[str, dict[str, list[dict[str, Any]]]] = {}

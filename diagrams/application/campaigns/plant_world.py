@@ -1,4 +1,4 @@
-"""The true world of the campaigns: Drake's MultibodyPlant, a finger on a prescribed path, and no arm."""
+"""The true world of the campaigns: Drake's MultibodyPlant with a finger on a prescribed path, without arm."""
 
 import numpy as np
 from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
@@ -32,7 +32,7 @@ TIME_STEP = 2e-3
 
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _AWAY = np.array([50.0, 50.0])
-_LOOK = 0.02  # s between two looks whether the object rests or is lost
+_LOOK = 0.02  # s between two checks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
 
 
@@ -44,7 +44,7 @@ class PlantWorld(DirectWorld):
         time_step: of the plant, s; a whole fraction of 0.01 s.
 
     Raises:
-        ValueError: a friction out of reach of Drake's rule, or a time step that does not fit.
+        ValueError: a friction that Drake's combination rule cannot give, or an unsuitable time step.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class PlantWorld(DirectWorld):
     def _drive(self, tip: FloatArray) -> Motion:
         h = self._time_step
         times = h * np.arange(len(tip))
-        # The drive holds at the end of a step what is wanted at its beginning.
+        # The drive reaches at the end of a step what is desired at its beginning.
         path = PiecewisePolynomial.CubicHermite(times - h, tip.T, np.gradient(tip, h, axis=0).T)
         self._path.UpdateTrajectory(path)
         self._root.SetTime(0.0)
@@ -108,7 +108,7 @@ class PlantWorld(DirectWorld):
         for sink in (self._states, self._contact):
             sink.FindMutableLog(self._root).Clear()
         self._simulator.Initialize()  # logs the first row
-        # Drake's contact solver fails at times with an object that tumbles over the rim: it is left there.
+        # Drake's contact solver sometimes fails with an object tumbling over the rim: stop there.
         for end in (*times[1 : -1 : round(_LOOK / h)], times[-1]):
             if self._lost():
                 break
@@ -116,7 +116,7 @@ class PlantWorld(DirectWorld):
         stride = round(PERIOD / h)
         joints = [self._plant.GetJointByName(name) for name in ("finger_x", "finger_y")]
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
-        # What the object does to the finger, with the other sign.
+        # Force on the finger, with the opposite sign.
         forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
         self._take_finger_away()
         lost = 1 + (len(tip) - 1) // stride - len(states)
@@ -150,13 +150,13 @@ class PlantWorld(DirectWorld):
         self._simulator.Initialize()
 
     def _poses(self, states: FloatArray) -> FloatArray:
-        """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
+        """(T, 3) poses from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
         return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
 
 def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
-    """An upright round finger on two prismatic joints with a drive too stiff to give way."""
+    """Add an upright round finger on two prismatic joints with a drive too stiff to yield."""
     instance = plant.AddModelInstance("finger")
     inertia = tree.SpatialInertia.SolidSphereWithMass(1.0, 0.02)
     carriage = plant.AddRigidBody("carriage", instance, inertia)
@@ -180,7 +180,7 @@ def _standing(place: FloatArray) -> PiecewisePolynomial:
 
 
 def _means(values: FloatArray, stride: int) -> FloatArray:
-    """(T, 2) mean of each `stride` rows up to every row; the first row stands for itself."""
+    """(T, 2) means over successive blocks of `stride` rows, after the first row itself."""
     count = (len(values) - 1) // stride
     means = values[1 : 1 + count * stride].reshape(count, stride, -1).mean(axis=1)
     return np.vstack([values[:1], means])

@@ -1,4 +1,4 @@
-"""Figure 6 of the paper: how often each method brings an object to the edge, and by how many pushes."""
+"""Figure 6 of the paper: how often each method brings an object to the edge, and with how many pushes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,17 +22,17 @@ from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.settings import METHODS, PregraspSettings
 
 NEAR = 0.02
-"""From the goal, m; with `NEAR_ANGLE` the paper's success."""
+"""Largest distance from the goal, m; with `NEAR_ANGLE` the paper's criterion of success."""
 NEAR_ANGLE = 15.0
-"""From the goal, deg."""
+"""Largest angle from the goal, deg."""
 YAWS_A_BELIEF = 100
-"""Trials with one and the same belief: the paper identifies each object once."""
+"""Trials that share one belief: the paper identifies each object once."""
 
 FATES = ("success", "fell", "missed", "gave up")
 
 
 def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: int) -> dict[str, Any]:
-    """Put the object down at the table's middle, turned at random, and let a method bring it to the edge.
+    """Place the object at the middle of the table, turned at random, and let a method bring it to the edge.
 
     Returns:
         See `result_of`.
@@ -46,7 +46,7 @@ def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: 
 def brought_to_edge(
     world: DirectWorld, belief: Belief, seed: int, method: str = "probabilistic"
 ) -> tuple[Pregrasp, float]:
-    """How the procedure ended from the table's middle, and the yaw (rad) that it began with."""
+    """How the procedure ended from the middle of the table, and the initial yaw (rad)."""
     thing = world.true_object
     rng = np.random.default_rng([seed, 3])
     yaw = float(rng.uniform(-np.pi, np.pi))
@@ -63,8 +63,8 @@ def result_of(world: DirectWorld, ended: Pregrasp, yaw: float) -> dict[str, Any]
 
     Returns:
         `success`: whether the object truly lies within 20 mm and 15° of the goal, flat on the table, and the
-        method knows it; `fate`: that, or `fell`, `missed` (taken for a success, but it is not) or `gave up`;
-        `reason` in the procedure's words; `pushes`; `yaw`.
+        method knows it; `fate`: `success`, `fell`, `missed` (wrongly counted as a success by the method) or
+        `gave up`; `reason`: the procedure's message; `pushes`: their number; `yaw`, rad.
     """
     try:
         pose = world.true_pose
@@ -80,7 +80,7 @@ def result_of(world: DirectWorld, ended: Pregrasp, yaw: float) -> dict[str, Any]
 
 
 def near(pose: FloatArray, goal: FloatArray) -> bool:
-    """Whether a pose (3,) is the goal (3,) but for 20 mm and 15°."""
+    """Whether a pose (3,) is within 20 mm and 15° of the goal (3,)."""
     angle = float(angle_between(pose[2], goal[2]))
     return bool(np.hypot(*(pose[:2] - goal[:2])) <= NEAR and abs(angle) <= np.radians(NEAR_ANGLE))
 
@@ -94,7 +94,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
             compared.success_table("Brought to the edge, %", PREGRASP_SUCCESS),
             compared.ways_table("Pushes, and how trials ended", "pushes, mean", FATES, PREGRASP_ACTIONS),
         ],
-        "Pushes count in all trials, failed ones too.",
+        "Numbers of pushes include unsuccessful trials.",
         compared.to_json("success") | {"paper": {"success": PREGRASP_SUCCESS, "pushes": PREGRASP_ACTIONS}},
         lambda: compared.figures("Brought to the edge, within 20 mm and 15° of the goal", PREGRASP_SUCCESS),
     )

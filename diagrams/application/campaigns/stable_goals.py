@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: of poses at the table's edge, which does a method take for stable, and which are?"""
+"""Figure 5 of the paper: which poses at the table's edge a method considers stable, and which are."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _POSES = 10
-"""At which an object is put down in a trial."""
+"""Poses of an object in a trial."""
 _DRAWS = 10
-"""Of the deterministic method from one belief."""
+"""Draws of the deterministic method from one belief."""
 _TRIES = 20_000
-"""Poses that are drawn at most to find those at which the gripper could grasp."""
+"""Most poses drawn to find those at which the gripper could grasp."""
 _BINS = np.array([0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0])
-"""Of the reliability diagram; most poses are nearly certain."""
+"""Bins of the reliability diagram; most poses are nearly certain."""
 
 
 def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
-    """Identify the object, draw poses at the edge where it can be grasped, ask the methods, and try.
+    """Identify the object, draw graspable poses at the edge, let the methods choose, and try each pose.
 
     Returns:
-        `poses`; `fell` for each; `stay_probability` of the whole belief, without any safety margin; and for
-        each method `chosen`: a list of its draws, each telling for every pose whether it is a goal.
+        `poses`; `fell` for each; `stay_probability` of the whole belief, without safety margin; and `chosen`:
+        for each method a list of its draws, each with a flag for every pose that is a goal.
     """
     belief = identified(truth, object_name, seed)
     world = world_of(truth, object_name)
@@ -65,8 +65,8 @@ def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
 
 
 def _poses(thing: Graspable, world: DirectWorld, rng: np.random.Generator) -> FloatArray:
-    """(_POSES, 3) at the edge of a round table, uniform in place, angle and how far the object is out, as far
-    as the gripper could grasp the true object there; whether it stays is not asked."""
+    """(_POSES, 3) poses at the edge of a round table, uniform in place, angle and overhang, where the gripper
+    could grasp the true object, stable or not."""
     radius = world.table.radius
     assert radius is not None
     found: list[FloatArray] = []
@@ -80,7 +80,7 @@ def _poses(thing: Graspable, world: DirectWorld, rng: np.random.Generator) -> Fl
             found.append(pose)
             if len(found) == _POSES:
                 return np.array(found)
-    raise RuntimeError(f"of {_TRIES} poses at the edge the gripper can grasp at {len(found)} only")
+    raise RuntimeError(f"the gripper can grasp at only {len(found)} of {_TRIES} poses at the edge")
 
 
 def _falls(world: DirectWorld, pose: FloatArray) -> bool:
@@ -113,9 +113,9 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     return experiments.Summary(
         [
             experiments.TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
-            experiments.TableText("Chosen among stable poses with a grasp, %", ("object", *METHODS), found),
+            experiments.TableText("Chosen among stable, graspable poses, %", ("object", *METHODS), found),
         ],
-        "Poses of one trial, and draws from one belief, count as independent. The paper's objects were real.",
+        "Poses of a trial and draws from a belief are treated as independent. The paper used real objects.",
         {
             "precision": experiments.as_json(precision),
             "recall": experiments.as_json(recall),
@@ -127,7 +127,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
 
 
 def _share(results: Sequence[dict[str, Any]], method: str, *, of_chosen: bool) -> Estimate:
-    """Stable among chosen, or chosen among stable."""
+    """Share of stable among chosen poses, or of chosen among stable poses."""
     both = total = 0
     for result in results:
         stays = ~np.array(result["fell"])
@@ -138,7 +138,7 @@ def _share(results: Sequence[dict[str, Any]], method: str, *, of_chosen: bool) -
 
 
 def _reliability(results: Sequence[dict[str, Any]]) -> list[tuple[float, Estimate]]:
-    """For each bin that has poses the mean probability of staying, and the share that stayed."""
+    """For each nonempty bin, the mean probability of staying and the share that stayed."""
     stated = np.array([p for result in results for p in result["stay_probability"]])
     stayed = ~np.array([fell for result in results for fell in result["fell"]], dtype=bool)
     places = np.clip(np.searchsorted(_BINS, stated, side="right") - 1, 0, len(_BINS) - 2)

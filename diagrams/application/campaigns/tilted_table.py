@@ -1,7 +1,7 @@
-"""What a missing effect costs: a table that is not level, planned for as if it were, and with its tilt.
+"""What a missing effect costs: planning on a tilted table with and without the tilt in the model.
 
-Beyond the paper. Both models learn from the same five pushes on the tilted table. One has no tilt among what
-it can learn, the other has; then each brings the object from the middle to the edge.
+Beyond the paper. Both models learn from the same five pushes on the tilted table, only one of them with a
+tilt as an effect; then each brings the object from the middle to the edge.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 TILT = 2.0
 """Slope of the table, deg."""
 MODELS = ("without the tilt", "with the tilt")
-"""What the models can learn."""
+"""The models compared."""
 YAWS_A_BELIEF = 5
-"""Trials with one and the same belief; learning takes longer than pushing."""
+"""Trials that share one belief; learning takes longer than pushing."""
 
 
 def trial(*, seed: int, object_name: str, model: str, belief_seed: int) -> dict[str, Any]:
-    """Bring the object over the tilted table with what one of `MODELS` learned.
+    """Bring the object to the edge of the tilted table with the belief of one of `MODELS`.
 
     Returns:
-        That of figure 6, and `errors`: of each push, mean distance of the cells from where the mean of the
-        hypotheses had them, m; a push after which the object was not seen is left out.
+        The result as in figure 6, and `errors`: for each push, mean distance of the cells from the mean
+        prediction of the hypotheses, m, without pushes after which the object was not seen.
     """
     belief = _learned(object_name, belief_seed)[MODELS.index(model)]
     world = _world(object_name)
@@ -59,7 +59,7 @@ def _world(object_name: str) -> PlantWorld:
 
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
-    """Beliefs of `MODELS`, from the same pushes."""
+    """The beliefs of `MODELS`, learnt from the same pushes."""
     world = _world(object_name)
     plain, trials = explored(world, seed)
     tilted = identify(as_dataset(world, trials), ["table_tilt"], seed=seed)
@@ -71,7 +71,7 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
     for made in ended.pushes:
         if made.trial.object_pose.time[-1] < made.trial.tip_pose.time[-1]:
             continue
-        # One hypothesis may count the angle a turn further than another.
+        # Hypotheses may differ by whole turns.
         predicted = turned_to(made.planned.predicted, made.before[2])
         weights = belief.probability[belief.probability > NEGLIGIBLE]
         weights = weights / weights.sum()
@@ -97,12 +97,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     return experiments.Summary(
         [
             compared.success_table(f"{title}, %", {}),
-            experiments.TableText(
-                "Where pushes end off their prediction, mean, mm", ("object", *MODELS), off
-            ),
+            experiments.TableText("Mean error of predicted ends, mm", ("object", *MODELS), off),
             compared.ways_table("Pushes, and how trials ended", "pushes, mean", FATES),
         ],
-        "Both models learn from the same five pushes. A trial's error is the mean over its pushes.",
+        "Both models learn from the same five pushes. The error of a trial is the mean over its pushes.",
         {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
         lambda: [_error_figure(errors), *compared.figures(title, {})],
     )
@@ -111,7 +109,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
 def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:
     from slipmap.diagrams.application.figures.study_figures import means_figure
 
-    return means_figure("Where pushes end off their prediction", errors, 1e3, "mm")
+    return means_figure("Error of predicted ends", errors, 1e3, "mean error, mm")
 
 
 TILTED_TABLE = experiments.Experiment(

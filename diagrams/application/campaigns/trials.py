@@ -1,8 +1,8 @@
-"""Trials of a campaign: what is to be done, what came of it, and estimates from many of them.
+"""Trials of a campaign: specifications, outcomes, and estimates from many of them.
 
-Specs and outcomes are plain data. Trials share nothing, each has its own seed, and outcomes are put into the
-order of the trials: the result is the same whether `run_trials` spreads them over local processes (joblib) or
-a cluster (Dask). Only the process that was started writes files, so a cluster needs no common disk.
+Specs and outcomes are plain data. Trials share nothing, each has its own seed, and outcomes are returned in
+the order of the trials, so the result is the same whether `run_trials` uses local processes (joblib) or a
+cluster (Dask). Only the main process writes files, so a cluster needs no shared disk.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ from slipmap.models.progress import StageProgress
 
 
 class CampaignError(ValueError):
-    """A campaign that cannot be run as asked. The text says what to do."""
+    """A campaign that cannot run as requested. The text says what to do."""
 
 
 @dataclass(frozen=True)
 class TrialSpec:
-    """A trial to be made, on whatever machine.
+    """A trial to run, on any machine.
 
     Raises:
-        CampaignError: a name that is no file name, or parameters that JSON cannot hold.
+        CampaignError: the name is not a file name, or JSON cannot hold the parameters.
     """
 
     name: str  # of the trial and its file; letters, digits, '-', '_' and '.'
-    # `module:function`, called as function(seed=seed, **parameters); returns what JSON can hold
+    # `module:function`, called as function(seed=seed, **parameters); returns JSON-serialisable data
     function: str
-    parameters: Mapping[str, Any]  # what JSON can hold
-    seed: int  # of every random draw in it
+    parameters: Mapping[str, Any]  # JSON-serialisable
+    seed: int  # of all its random draws
 
     def __post_init__(self) -> None:
         if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
-            raise CampaignError(f"trial {self.name!r}: a name has letters, digits, '-', '_' and '.'")
+            raise CampaignError(f"trial {self.name!r}: use only letters, digits, '-', '_' and '.'")
         try:
             self.to_json()
         except (TypeError, ValueError) as error:
             raise CampaignError(f"trial {self.name}: parameters must be plain data ({error})") from error
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """The spec as JSON."""
         document = vars(self) | {"parameters": dict(self.parameters)}
         return dict(json.loads(json.dumps(document, allow_nan=False)))
 
     def run(self) -> TrialOutcome:
-        """Make the trial. What it raises is recorded, not passed on."""
+        """Run the trial. Exceptions are recorded, not raised."""
         began = time.perf_counter()
         try:
             module, _, name = self.function.partition(":")
@@ -71,17 +71,17 @@ class TrialSpec:
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What came of a trial."""
+    """Outcome of a trial."""
 
     spec: TrialSpec  # the trial
-    result: Any  # what its function returned, or None where it failed
+    result: Any  # returned by its function; None where it failed
     failure: str | None  # why it failed, or None
-    # that it took, s; the only part that depends on the machine
+    # duration, s; the only part that depends on the machine
     seconds: float = field(compare=False, default=0.0)
 
 
 def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
-    """Write `<name>.json` into a folder; the file appears whole or not at all.
+    """Write `<name>.json` to a folder atomically.
 
     Raises:
         CampaignError: the folder cannot be written to.
@@ -102,10 +102,10 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
 
 
 def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
-    """What is on file for a trial, or None.
+    """The stored outcome of a trial, or None.
 
     Raises:
-        CampaignError: the file is damaged, or of a trial of this name with other parameters.
+        CampaignError: the file is damaged, or is of a trial with other parameters.
     """
     path = _file(spec, folder)
     if not path.exists():
@@ -128,7 +128,7 @@ def _file(spec: TrialSpec, folder: Path) -> Path:
 
 
 Backend = Literal["processes", "dask"]
-CRASHED = "the process that made the trial died"
+CRASHED = "the process that ran the trial died"
 
 
 def run_trials(
@@ -140,22 +140,22 @@ def run_trials(
     scheduler: str | None = None,
     progress: StageProgress | None = None,
 ) -> list[TrialOutcome]:
-    """Make all trials that are not on file, and return the outcomes of all, in their order.
+    """Run all trials without a stored outcome, and return all outcomes in order.
 
-    A trial that raises, or whose process dies, is recorded as failed; the others go on. It is tried again
+    A trial that raises, or whose process dies, is recorded as failed; the others continue. It is tried again
     when the campaign is run again.
 
     Args:
         specs: trials with different names.
         folder: exists; `<name>.json` of each trial is written there as soon as it is done.
         backend: `processes` on this machine, or `dask`.
-        workers: processes; of no meaning with Dask, whose workers are there already.
+        workers: number of processes; ignored with Dask, which has its own workers.
         scheduler: address of Dask's scheduler, such as tcp://10.0.0.1:8786.
-        progress: called with the number of trials done and that of all.
+        progress: called with the number of trials done and their total.
 
     Raises:
-        CampaignError: names that are not different, a folder with other trials, a scheduler that is not
-            given or not reached, or the `cluster` extra is missing.
+        CampaignError: names are not unique, the folder holds other trials, the scheduler is missing or does
+            not answer, or the `cluster` extra is not installed.
     """
     if len({spec.name for spec in specs}) < len(specs):
         raise CampaignError("two trials of the campaign have the same name")
@@ -179,7 +179,7 @@ def run_trials(
 
 
 def _on_processes(specs: Sequence[TrialSpec], workers: int) -> Iterator[TrialOutcome]:
-    """Outcomes as they come. When a process dies, the trials under way are made again one by one."""
+    """Outcomes as they arrive. When a process dies, the trials in progress are run again one by one."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     remaining = list(specs)
@@ -202,7 +202,7 @@ def _on_processes(specs: Sequence[TrialSpec], workers: int) -> Iterator[TrialOut
 
 
 def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]) -> Iterator[TrialOutcome]:
-    """Outcomes as they come; `sent` is filled with the trials that processes were given."""
+    """Outcomes as they arrive; appends the trials handed to processes to `sent`."""
     from joblib import Parallel, delayed, parallel_config
 
     def jobs() -> Iterator[object]:
@@ -210,7 +210,7 @@ def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]
             sent.append(spec)
             yield delayed(TrialSpec.run)(spec)
 
-    # With one job joblib would stay in this process, which a trial must not be able to kill.
+    # With one job, joblib would run in this process, and a crashing trial would kill it.
     jobs_at_once = max(2, workers)
     with parallel_config("loky", inner_max_num_threads=1, initializer=prepare_worker):
         yield from Parallel(
@@ -223,7 +223,7 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
         from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError as error:
         raise CampaignError(
-            "Dask is not installed; `pip install 'slipmap[cluster]'` brings it, here and on the workers"
+            "Dask is not installed; install it here and on the workers with `pip install 'slipmap[cluster]'`"
         ) from error
     if scheduler is None:
         raise CampaignError("with Dask, give the address of its scheduler, such as tcp://10.0.0.1:8786")
@@ -234,7 +234,7 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
     with client:
         killed: list[TrialSpec] = []
         futures = {
-            # Not pure, so that two campaigns that run on one cluster keep apart.
+            # Not pure, so that two campaigns on one cluster stay separate.
             client.submit(TrialSpec.run, spec, pure=False): spec
             for spec in specs
         }
@@ -243,7 +243,7 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
                 yield future.result()
             except KilledWorker:
                 killed.append(futures[future])
-        # Dask suspects all that waited on a worker that died; alone, a trial answers for itself.
+        # Dask blames every trial on a worker that died; run alone, only the crashing trial fails.
         for spec in killed:
             try:
                 yield client.submit(TrialSpec.run, spec, pure=False).result()
@@ -258,39 +258,39 @@ _LEVEL = 0.95  # of all intervals
 class Estimate:
     """A number and its 95 % interval."""
 
-    value: float  # NaN where there is nothing to estimate it from
+    value: float  # NaN without data
     # low, high: ends of the interval
     low: float
     high: float
-    count: int  # trials that it comes from
+    count: int  # trials behind it
 
     def percent(self) -> str:
-        """As in a table: `97 (91 to 99)`."""
+        """Per cent with interval, as in a table: `97 (91 to 99)`."""
         return self.text(100.0, 0)
 
     def text(self, factor: float = 1.0, digits: int = 1) -> str:
-        """Multiplied by a factor and rounded, such as `5.2 (4.9 to 5.5)`; a dash where there is nothing."""
+        """Multiplied by a factor and rounded, such as `5.2 (4.9 to 5.5)`; a dash without data."""
         if not np.isfinite(self.value):
             return "–"
         value, low, high = (f"{factor * number:.{digits}f}" for number in (self.value, self.low, self.high))
         return f"{value} ({low} to {high})" if np.isfinite(self.low + self.high) else value
 
     def short(self, factor: float = 1.0, digits: int = 1) -> str:
-        """As `text`, with half the interval's width, such as `5.2 ± 0.3`."""
+        """Like `text`, with half the interval's width, such as `5.2 ± 0.3`."""
         if not np.isfinite(self.high - self.low):
             return self.text(factor, digits)
         return f"{factor * self.value:.{digits}f} ± {factor * (self.high - self.low) / 2:.{digits}f}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, None for what is not known."""
+        """Plain numbers; None for unknown ones."""
         return {key: value if np.isfinite(value) else None for key, value in asdict(self).items()}
 
 
 def share(successes: int, count: int) -> Estimate:
-    """Of successes among `count` independent trials, with Wilson's interval.
+    """Share of successes among `count` independent trials, with Wilson's interval.
 
     Raises:
-        ValueError: numbers that are no share.
+        ValueError: the numbers do not form a share.
     """
     from scipy.stats import binomtest
 
@@ -301,7 +301,7 @@ def share(successes: int, count: int) -> Estimate:
 
 
 def exact_range(hits: float, of: int) -> tuple[float, float]:
-    """95 % range of the true share where so many of so many hit (Clopper and Pearson)."""
+    """95 % range of the true share given `hits` out of `of` (Clopper and Pearson)."""
     from scipy.stats import beta
 
     low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
@@ -309,7 +309,7 @@ def exact_range(hits: float, of: int) -> tuple[float, float]:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """Of independent values, with Student's interval; no interval for fewer than two."""
+    """Mean of independent values, with Student's interval; no interval for fewer than two."""
     from scipy.stats import t
 
     data = np.asarray(values, dtype=float)

@@ -1,4 +1,4 @@
-"""Figure 7 of the paper: how often an unknown object ends in the gripper, with arm and camera in the loop."""
+"""Figure 7 of the paper: how often an unknown object ends up in the gripper, with arm and camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FATES = ("held", "fell", "dropped", "gave up")
 
 
 def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
-    """All of Algorithm 4, done anew in each trial, exploring too; see `taken`."""
+    """Run all of Algorithm 4, including the exploration, in each trial; see `taken`."""
     from slipmap.diagrams.station.scenario import Scenario
 
     return taken(Scenario(), seed, object_name, method)[0]
@@ -33,18 +33,18 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
 def taken(
     scenario: Scenario, seed: int, object_name: str, method: str, *, adapt: bool = False
 ) -> tuple[dict[str, Any], ExplorationRun | None]:
-    """Put the object down at the table's middle, turned at random, and let the robot take it.
+    """Place the object at the middle of the table, turned at random, and let the robot fetch it.
 
     Args:
-        scenario: the cell; `object_name` stands for its object.
-        adapt: whether the model is repaired on the way.
+        scenario: the cell; its object is replaced by `object_name`.
+        adapt: whether the model is repaired during the run.
 
     Returns:
-        What `PregraspRun.to_json` tells, and `yaw`; and what was learned. A run in which nothing could be
-        learned gave up.
+        The content of `PregraspRun.to_json` with `yaw` (deg), and the exploration, None where nothing could
+        be learned; such a run counts as `gave up`.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C, which says nothing of the object.
+        KeyboardInterrupt: Ctrl-C, which is no result.
     """
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
@@ -64,7 +64,7 @@ def taken(
         raise KeyboardInterrupt from error
     except ExplorationFailed as error:
         told = {"fate": "gave up", "reason": str(error), "pushes": []}
-    # What the clock says depends on the machine, and the same seeds shall give the same result.
+    # Durations depend on the machine, but the same seeds must give the same result.
     return {key: value for key, value in told.items() if key != "seconds"} | {"yaw": yaw}, learned
 
 
@@ -78,7 +78,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
                 "Pushes to the edge, and how trials ended", "pushes to the edge, mean", FATES
             ),
         ],
-        "Pushes count in all trials, failed ones too; those that explore are not among them.",
+        "Numbers of pushes include unsuccessful trials, but not the pushes for exploration.",
         compared.to_json("held") | {"paper": WHOLE_PROCEDURE},
         lambda: compared.figures(title, WHOLE_PROCEDURE),
     )

@@ -1,7 +1,6 @@
-"""The worlds that play the truth in a campaign, and what is learned from pushes in them.
+"""The simulated true worlds of a campaign, and beliefs learned from pushes in them.
 
-In them the finger is moved directly, without an arm. Each object's world is built, and each belief is made,
-once in a process.
+The finger moves directly, without an arm. Each object's world and each belief is made once per process.
 """
 
 from abc import ABC, abstractmethod
@@ -29,30 +28,30 @@ from slipmap.planners.settings import PregraspSettings
 from slipmap.planners.table_push import TablePush
 
 REST = 0.3
-"""s that the finger stands still before and after it moves; an object that was tapped slides on."""
+"""Time that the finger rests before and after moving, s; a tapped object slides on."""
 RAMP = 0.1
-"""s in which it speeds up, and slows down."""
+"""Time to speed up and to slow down, s."""
 PERIOD = 0.01
-"""s between two rows of tip and force."""
+"""Time between two rows of tip and force, s."""
 
 LONGEST_SETTLING = 3.0
-"""s that an object is waited for until it rests."""
+"""Longest wait for an object to come to rest, s."""
 AT_REST = 5e-3
-"""m/s and rad/s below which it does."""
+"""Speed below which an object rests, m/s and rad/s."""
 
 _WORST_MISS = 2.5  # standard deviations of control noise
-_TILTED = np.cos(np.radians(10.0))  # of an object that is not flat on the table any more
-_SUNK = 5e-3  # m; the same
+_TILTED = np.cos(np.radians(10.0))  # cosine of the tilt from which an object is no longer flat on the table
+_SUNK = 5e-3  # m; depth from which it is no longer flat on the table
 
 
 @dataclass(frozen=True)
 class WorldNoise:
-    """How far a world is from what is asked for and reported."""
+    """Errors of a world's control and of its sensors."""
 
-    # standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5 times that
+    # standard deviation of each coordinate of a push's start and end, m; truncated at 2.5 times that
     control: float = 2e-3
     sensors: Noise = field(default_factory=lambda: SENSORS)  # one standard deviation of every row
-    camera: float = 15.0  # poses a second while the finger pushes; 0 for none but those before and after
+    camera: float = 15.0  # poses per second during a push; 0 for only those before and after
 
     def __post_init__(self) -> None:
         for name in ("control", "camera"):
@@ -63,18 +62,18 @@ class WorldNoise:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened while the finger moved, a row each `PERIOD`."""
+    """Recording of a finger motion, a row every `PERIOD`."""
 
-    poses: FloatArray  # (T, 3) of the object, NaN once it is not flat on the table any more
+    poses: FloatArray  # (T, 3) of the object, NaN once it is no longer flat on the table
     tips: FloatArray  # (T, 2) of the finger's centre, m
-    # (T, 2) of the finger on the object, world, N: mean over the time since the row before
+    # (T, 2) of the finger on the object, world, N: mean since the previous row
     forces: FloatArray
 
 
 class DirectWorld(ABC):
-    """One object on a table; a `slipmap.planners.push_decisions.World`. Engines fill in how things move.
+    """One object on a table; a `slipmap.planners.push_decisions.World`. Subclasses implement the engine.
 
-    A world is built once and used for many trials: `reset` begins one.
+    A world is built once and used for many trials: `reset` starts one.
     """
 
     finger_radius = FINGER_RADIUS
@@ -90,7 +89,7 @@ class DirectWorld(ABC):
         self._seen = np.zeros(3)
 
     def reset(self, pose: FloatArray, rng: np.random.Generator) -> None:
-        """Begin a trial: the object is put down at a pose (3,) and left alone until it rests or falls.
+        """Start a trial: place the object at a pose (3,) and wait until it rests or falls.
 
         Args:
             pose: world, m and rad.
@@ -105,7 +104,7 @@ class DirectWorld(ABC):
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) world, m and rad; the angle is continuous over pushes.
+        """(3,) true pose in the world, m and rad; the angle is continuous over pushes.
 
         Raises:
             ObjectFell: it is not flat on the table.
@@ -120,7 +119,7 @@ class DirectWorld(ABC):
         return _continued(self._seen, pose)
 
     def look(self) -> FloatArray:
-        """(3,) pose with the camera's noise.
+        """(3,) pose in the world with the camera's noise, m and rad.
 
         Raises:
             ObjectFell: it is not flat on the table.
@@ -131,11 +130,11 @@ class DirectWorld(ABC):
     def push(self, push: TablePush) -> Trial:
         """Lower the finger, move it, lift it, and wait until the object rests.
 
-        The finger begins and ends a little off. The trial has the pose before, some on the way if there is a
-        camera, and the one at rest afterwards; tip and force are rows of 0.01 s.
+        The finger's start and end have control noise. The trial has the pose before, poses during the push if
+        there is a camera, and the pose at rest afterwards; rows of tip and force are 0.01 s apart.
 
         Raises:
-            PushNotMade: the finger would come down on the object, or the object is gone.
+            PushNotMade: the finger would land on the object, or the object is gone.
         """
         try:
             before = self.true_pose
@@ -149,9 +148,9 @@ class DirectWorld(ABC):
         gap = float(shapely.distance(self.true_object.grid.polygon, shapely.Point(local)))
         if gap < self.finger_radius:
             raise PushNotMade(
-                f"the finger would come down on the {self.true_object.name}: its centre at"
+                f"the finger would land on the {self.true_object.name}: its centre at"
                 f" ({1e3 * begin[0]:.0f}, {1e3 * begin[1]:.0f}) mm is {1e3 * gap:.1f} mm from the outline,"
-                f" nearer than its radius of {1e3 * self.finger_radius:.0f} mm"
+                f" closer than its radius of {1e3 * self.finger_radius:.0f} mm"
             )
         motion = self._drive(finger_path(replace(push, begin=begin, end=end), self._step))
         self._settle()
@@ -160,7 +159,7 @@ class DirectWorld(ABC):
         return trial
 
     def _recorded(self, motion: Motion) -> Trial:
-        """The motion as sensors report it. The last row is the object at rest, if it is still there."""
+        """The motion as the sensors report it. The last row is the object at rest, if it is still there."""
         poses, count = motion.poses.copy(), len(motion.poses)
         poses[-1] = self._pose()
         stride = 1.0 / (self.noise.camera * PERIOD) if self.noise.camera else count
@@ -198,15 +197,15 @@ class DirectWorld(ABC):
     @property
     @abstractmethod
     def _step(self) -> float:
-        """Of the finger's path, s; a whole fraction of `PERIOD`."""
+        """Time step of the finger's path, s; a whole fraction of `PERIOD`."""
 
     @abstractmethod
     def _place(self, pose: FloatArray) -> None:
-        """Put the object down at rest; the finger is away."""
+        """Place the object at rest, with the finger away."""
 
     @abstractmethod
     def _drive(self, tip: FloatArray) -> Motion:
-        """Let the finger follow a path (N + 1, 2), a row each step, then take it away."""
+        """Let the finger follow a path (N + 1, 2), a row per step, then take it away."""
 
     @abstractmethod
     def _settle(self) -> None:
@@ -218,15 +217,15 @@ class DirectWorld(ABC):
 
 
 def finger_path(push: TablePush, step: float) -> FloatArray:
-    """(N + 1, 2) finger centre, a row each `step` in s: it rests, goes its way, and rests."""
+    """(N + 1, 2) finger centre, m, a row per `step` (s): rest, motion, rest."""
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     rows = int(np.ceil((pace.duration + 2 * REST) / PERIOD)) * round(PERIOD / step)
     return push.begin + np.outer(pace.at(step * np.arange(rows + 1, dtype=float) - REST), push.direction)
 
 
 def flat_pose(place: FloatArray, w: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-    """(…, 3) of an object at places (…, 3) with quaternions w, x, y, z (…); NaN where it is not flat on the
-    table."""
+    """(…, 3) planar poses from positions (…, 3) and quaternions w, x, y, z (…); NaN where the object is not
+    flat on the table."""
     angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
     pose = np.stack([place[..., 0], place[..., 1], angle], axis=-1)
     pose[(1 - 2 * (x**2 + y**2) < _TILTED) | (place[..., 2] < -_SUNK)] = np.nan
@@ -234,15 +233,15 @@ def flat_pose(place: FloatArray, w: FloatArray, x: FloatArray, y: FloatArray, z:
 
 
 def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:
-    """The pose with whole turns added to its angle so that it is nearest to that before."""
+    """The pose with whole turns added to its angle to bring it closest to the previous one."""
     turns = np.round((before[2] - pose[2]) / (2 * np.pi))
     return np.array([pose[0], pose[1], pose[2] + 2 * np.pi * turns])
 
 
 TRUTHS = ("plant", "bullet")
-"""Drake's MultibodyPlant; Bullet, which needs the `bench` extra."""
+"""Drake's MultibodyPlant, and Bullet, which needs the `bench` extra."""
 
-_MOST_PUSHES = 5  # from which an object is identified, as in the paper
+_MOST_PUSHES = 5  # for identifying an object, as in the paper
 
 
 @lru_cache(maxsize=16)
@@ -266,7 +265,7 @@ def world_of(truth: str, object_name: str) -> DirectWorld:
 
 
 def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial] = ()) -> PushDataset:
-    """RecordedRun trials as a dataset: those to learn from, then those to judge with.
+    """Recorded trials as a dataset: fit pushes first, then held-out pushes.
 
     Raises:
         DatasetError: there is no trial.
@@ -282,13 +281,13 @@ def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial
         finger_radius=world.finger_radius,
         noise=world.noise.sensors,
         table=world.table,
-        description=f"RecordedRun in the world of {type(world).__name__}.",
+        description=f"Recorded in the world of {type(world).__name__}.",
     )
 
 
 @lru_cache(maxsize=32)
 def identified(truth: str, object_name: str, seed: int) -> Belief:
-    """What five pushes of an object in its world teach; made once in a process for each seed.
+    """Belief from five pushes of an object in its world; made once per process and seed.
 
     Raises:
         ObjectFell, PushNotMade: the object could not be explored.
@@ -297,7 +296,7 @@ def identified(truth: str, object_name: str, seed: int) -> Belief:
 
 
 def explored(world: DirectWorld, seed: int) -> tuple[Belief, tuple[Trial, ...]]:
-    """What `_MOST_PUSHES` pushes teach of the object at the table's middle, and the pushes.
+    """Belief from `_MOST_PUSHES` pushes of the object at the middle of the table, and the pushes.
 
     Raises:
         ObjectFell, PushNotMade: the object could not be explored.

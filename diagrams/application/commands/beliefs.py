@@ -1,4 +1,4 @@
-"""`slipmap view` and `slipmap export`: what was learned of an object, to look at and for simulators."""
+"""`slipmap view` and `slipmap export`: a belief in a browser, and as a model for simulators."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from slipmap.diagrams.application.terminal import note, status, wait_for_enter
 from slipmap.models.files import write_text, writing
 
 _PORT = 7000
-"""Of the page, if it is free."""
+"""Port of the page, if it is free."""
 
 
 @click.command()
 @click.argument("belief_file", metavar="BELIEF", type=click.Path(path_type=Path))
 @options.output_option(
     "--html", "page_file", endings=("html", "htm"),
-    about="Write the view as one page for any browser, which needs no network, and end.",
+    about="Write the view as one page that any browser opens without a network, and quit.",
 )  # fmt: skip
 @options.effect_file_option
 def view(belief_file: Path, page_file: Path | None, effect_files: tuple[Path, ...]) -> None:
     """Look at a belief in 3D in a browser.
 
-    BELIEF is a file that `slipmap identify`, `slipmap fit` or `slipmap explore` wrote. On each cell of the
-    object stands a prism: the higher and brighter, the more is believed to be there of mass, of friction, or
-    of their product, which is the force that it takes to slide the cell. Side by side stand the mean of all
-    hypotheses and the most probable ones. Where these look alike, the pushes have decided; where they
-    differ, the pushes have left it open. A red pin shows the centre of mass.
+    BELIEF is a file that `slipmap identify`, `slipmap fit` or `slipmap explore` wrote. A prism on each cell
+    of the object shows its mass, its friction, or their product, which gives the force needed to slide the
+    cell: the higher and brighter, the larger. The mean of all hypotheses and the most probable ones are side
+    by side. Where they agree, the pushes have determined the value; where they differ, it is left open. A red
+    pin marks the centre of mass.
 
-    Without --html the page is served to browsers on this computer until you press Enter or Ctrl-C.
+    Without --html, the page is served to browsers on this computer until you press Enter or Ctrl-C.
     """
     from slipmap.models.inference.belief import Belief
 
@@ -48,21 +48,21 @@ def view(belief_file: Path, page_file: Path | None, effect_files: tuple[Path, ..
         note(f"view: {page_file}")
         return
     with _served(page) as address:
-        note(f"the view is at {address}; press Enter to end")
+        note(f"the view is at {address}; press Enter to quit")
         wait_for_enter()
 
 
 @contextmanager
 def _served(page: str) -> Iterator[str]:
     """Serve one page on this computer while the block runs; yields its address."""
-    # A third of the time in which `slipmap --help` answers, and only this needs it.
+    # Would be a third of the time of `slipmap --help`, and only this needs it.
     from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
     content = page.encode("utf-8")
 
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            # Else a page from elsewhere, whose name was made to lead here, could read the belief.
+            # Against DNS rebinding: a foreign page could otherwise read the belief.
             if self.headers.get("Host", "") not in names:
                 self.send_error(421)
                 return
@@ -76,7 +76,7 @@ def _served(page: str) -> Iterator[str]:
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     try:
         server = ThreadingHTTPServer(("127.0.0.1", _PORT), Answer)
@@ -100,12 +100,12 @@ def _served(page: str) -> Iterator[str]:
 )  # fmt: skip
 @click.option(
     "--height", type=click.FloatRange(2e-3, 10.0), metavar="M",
-    help="Height of the object, m, which a belief does not hold; 0.02 where it is not said.",
+    help="Height of the object, m, which a belief does not contain. [default: 0.02]",
 )  # fmt: skip
 @click.option(
     "--hypotheses",
     is_flag=True,
-    help="One model for each hypothesis instead of their mean: randomised domains.",
+    help="Write one model for each hypothesis instead of their mean, for domain randomisation.",
 )
 @options.effect_file_option
 def export(
@@ -116,10 +116,10 @@ def export(
     hypotheses: bool,
     effect_files: tuple[Path, ...],
 ) -> None:
-    """Write what was learned as SDF, URDF or MJCF.
+    """Write a belief as an SDF, URDF or MJCF model.
 
     The object of BELIEF becomes a rigid body with its mass, centre of mass and inertia, on 32 small feet
-    whose friction is that of the parts above them. It says what the format cannot hold.
+    with the friction of the parts above them. Prints what the format cannot represent.
     """
     from slipmap.diagrams.application.simulator_models import (
         DEFAULT_HEIGHT,
@@ -138,10 +138,10 @@ def export(
     for loss in LOST:
         status(f"not in the models: {loss}")
     for remark in TO_MIND[to]:
-        status(f"mind: {remark}")
+        status(f"caution: {remark}")
     if height is None:
-        status(f"mind: the height counts as {DEFAULT_HEIGHT:g} m; say --height if it matters")
+        status(f"caution: the height is assumed to be {DEFAULT_HEIGHT:g} m; give --height if it matters")
     click.echo(
-        f"{len(paths)} model{'s' if len(paths) > 1 else ''}: {paths[0]}{' and on' if paths[1:] else ''}"
+        f"{len(paths)} model{'s' if len(paths) > 1 else ''}: {paths[0]}{' and so on' if paths[1:] else ''}"
     )
     note(f"folder: {output}")

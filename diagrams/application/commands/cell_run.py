@@ -1,4 +1,4 @@
-"""What commands share that run, record or replay a robot's cell: options, scenario, view and results."""
+"""Shared by commands that run, record or replay a robot's cell: options, scenario, view and results."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Stopped(click.ClickException):
-    """Ctrl-C, after something was kept."""
+    """Ctrl-C, after something was saved."""
 
     exit_code = 130
 
@@ -46,13 +46,13 @@ lcm_option = click.option(
 
 
 def folder_option(default: str) -> Option:
-    """The option `--out DIR` of what a run leaves."""
+    """The option `--out DIR` for the results of a run."""
     about = "Folder for pushes, belief, pictures and report."
     return path_option("-o", "--out", "folder", default=default, metavar="DIR", about=about)
 
 
 class CellRun(NamedTuple):
-    """Where a run takes place, how it is watched, and where it leaves what it brings."""
+    """Where a run takes place, how it is watched, and where its results go."""
 
     hardware: bool
     url: str
@@ -62,11 +62,11 @@ class CellRun(NamedTuple):
 
     @property
     def address(self) -> str | None:
-        """Of a real cell; None for a simulated one."""
+        """Address of a real cell; None for a simulated one."""
         return self.url if self.hardware else None
 
     def check_outputs(self, json_file: Path | None) -> None:
-        """Refuse files that could not be written; the folder must be there, as they may lie in it.
+        """Refuse files that could not be written; the folder must exist, as they may lie in it.
 
         Raises:
             BadInput: see `check_output`.
@@ -78,7 +78,7 @@ class CellRun(NamedTuple):
 
     @contextmanager
     def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
-        """Meshcat, if it is asked for, and progress."""
+        """Meshcat, if requested, and progress."""
         recorded = self.recording is not None
         meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recorded else None
         with Progress() as progress:
@@ -89,11 +89,11 @@ class CellRun(NamedTuple):
         if meshcat is not None and recorded:
             meshcat.StopRecording()
         if self.open_meshcat and meshcat is not None:
-            note(f"the view is at {meshcat.web_url()}; press Enter to end")
+            note(f"the view is at {meshcat.web_url()}; press Enter to quit")
             wait_for_enter()
 
     def keep_recording(self, meshcat: Meshcat | None) -> None:
-        """Write the recording, if it is asked for: last of all, so that it alone is lost without room for it.
+        """Write the recording, if requested: last of all, so that a full disk loses nothing else.
 
         Raises:
             BadInput: it cannot be written.
@@ -106,8 +106,8 @@ class CellRun(NamedTuple):
                 write_text(self.recording, str(meshcat.StaticHtml()))
         except BadInput as error:
             raise BadInput(
-                f"{error}; the recording alone is lost, {self.folder} holds all else (a run that was cut off"
-                f" goes on with `slipmap explore --resume {self.folder}`)"
+                f"{error}; only the recording is lost, {self.folder} holds everything else (continue a run"
+                f" that was cut off with `slipmap explore --resume {self.folder}`)"
             ) from error
         show_files({"recording": self.recording})
 
@@ -119,7 +119,7 @@ def _meshcat(show: bool) -> Meshcat:
 
     from slipmap.diagrams.systems.belief_visualizer import VIEW
 
-    logging.getLogger("drake").setLevel(logging.WARNING)  # the address is named below, where it is of use
+    logging.getLogger("drake").setLevel(logging.WARNING)  # the address is printed below, where it is needed
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     meshcat.SetCameraPose(*VIEW)
     for helper in ("/Grid", "/Axes"):
@@ -130,20 +130,20 @@ def _meshcat(show: bool) -> Meshcat:
 
 
 def cell_options(folder: str) -> Option:
-    """The options of a `CellRun`, which the command takes as its argument `cell`; `folder` is the default."""
+    """The options of a `CellRun`, passed to the command as `cell`; `folder` is the default of --out."""
     options: list[Option] = [
         click.option(
             "--hardware", is_flag=True,
-            help="Drive a real cell, or its twin of `slipmap station`, that listens at the address of --lcm.",
+            help="Drive a real cell, or its simulated twin (`slipmap station`), at the address of --lcm.",
         ),
         lcm_option,
         click.option(
             "--meshcat", "open_meshcat", is_flag=True,
-            help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
+            help="Show the run in a browser: print the address, and wait for Enter or Ctrl-C at the end.",
         ),
         path_option(
             "--record", "recording",
-            about="Write the whole run as a page that plays it back without a network.",
+            about="Write the whole run as an HTML page that plays it back without a network.",
         ),
         folder_option(folder),
     ]  # fmt: skip
@@ -163,13 +163,13 @@ def cell_options(folder: str) -> Option:
 
 adapt_option = click.option(
     "--adapt", is_flag=True,
-    help="Repair the model on the way: where pushes surprise it, diagnose them, push on while the answer is"
-    " open, and add the effect that is named. Every push teaches.",
+    help="Repair the model during the run: when pushes surprise it, diagnose them, push again while the"
+    " answer is open, and add the effect that is named. The model learns from every push.",
 )  # fmt: skip
 
 
 def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of effects of the library, as they were given.
+    """Names of the library's effects, in the order given.
 
     Raises:
         EffectError: there is no such effect, or one is named twice.
@@ -180,13 +180,14 @@ def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool = False) -> Scenario:
-    """The scenario of a file, if any, with another object, if any.
+    """The scenario of a file or the default one, with another object if given.
 
     Args:
-        simulated: whether the arm is to push that object in a simulation.
+        simulated: whether a simulated arm will push that object.
 
     Raises:
-        BadInput: the file, the object's name, or an object that cannot be pushed and seen where it lies.
+        BadInput: the file or the object's name is wrong, or the object cannot be pushed and seen where it
+            lies.
     """
     from slipmap.diagrams.station.placement import check_placement, check_rest
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
@@ -229,7 +230,7 @@ def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
 def leave(
     identification: Identification, dataset: PushDataset, folder: Path, progress: Progress
 ) -> dict[str, Path]:
-    """Write belief, pictures and report beside the pushes; returns what lies where."""
+    """Write belief, pictures and report beside the pushes; returns their paths by name."""
     from slipmap.diagrams.application.commands.identify import keep
     from slipmap.diagrams.application.reports.comparison_report import comparison_report
     from slipmap.models.inference.comparison import compare
@@ -244,6 +245,6 @@ def leave(
 
 
 def show_files(written: Mapping[str, Path]) -> None:
-    """Say what lies where."""
+    """Print which file is where."""
     for what, path in written.items():
         note(f"{what + ':':<19}{path}")

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 @options.belief_option(required=True)
 @options.picture_option(
     "-o", "--output", default="predictions.png",
-    about="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
-    " predictions.2.png and on.",
+    about="Picture of the pushes (.png, .pdf or .svg), 24 pushes a page; further pages are"
+    " predictions.2.png and so on.",
 )  # fmt: skip
 @options.effect_file_option
 @options.object_option
@@ -41,11 +41,11 @@ def predict(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Predict recorded pushes with a belief and compare.
+    """Predict recorded pushes with a belief, and compare.
 
-    Every push of DATASET is simulated from its first pose with every hypothesis of the belief. The picture
-    shows measured and predicted trajectories over each other; the table says how far off the ends are.
-    DATASET must be about the object and the finger of the belief, but need not be what taught it.
+    Simulates every push of DATASET from its first pose with every hypothesis of the belief. The picture
+    overlays measured and predicted trajectories; the table lists the errors at the ends. DATASET must have
+    the object and the finger of the belief, but may differ from the dataset that it was learnt from.
     """
     from slipmap.models.inference.belief import Belief
 
@@ -72,8 +72,8 @@ def predict(
 
 @click.command()
 @options.dataset_argument
-@options.belief_option(required=False, more="; without it the fit pushes are learnt from first")
-@options.effect_option(required=False, purpose="Effect to add, to compare with the model without it")
+@options.belief_option(required=False, more="; without it, a model is learnt from the fit pushes first")
+@options.effect_option(required=False, purpose="Effect to add, for a comparison with the model without it")
 @options.effect_file_option
 @options.report_option("comparison.html")
 @options.seed_option
@@ -93,17 +93,17 @@ def compare(
 ) -> None:
     """Compare a model with pushes, and see where it fails.
 
-    Every push of DATASET is predicted from its first pose. The report says how far off the model is
-    beside two simple ones and the noise, shows every push as measured and as predicted, and tests what
-    the remaining error depends on: place, direction, speed, phase, time and order. With --effect two
-    models are learnt from the fit pushes, without and with the effects, and shown side by side.
+    Predicts every push of DATASET from its first pose. The report compares the model's error with two simple
+    baselines and with the noise, shows every push as measured and as predicted, and tests what the remaining
+    error depends on: place, direction, speed, phase, time and order. With --effect, two models are learnt
+    from the fit pushes, without and with the effects, and shown side by side.
     """
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.belief import Belief
 
     if belief_file is not None and effect_names:
         raise BadInput(
-            "--belief and --effect exclude each other: a belief brings its effects along (`slipmap fit` adds"
+            "--belief and --effect exclude each other: a belief has its own effects (`slipmap fit` adds"
             " them), and --effect learns two new models"
         )
     known = options.find_effects(effect_files)
@@ -150,7 +150,7 @@ def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Predicti
 
 
 def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
-    """Print what was found of one model, or of two over the same pushes; `where` as a command takes it."""
+    """Print the comparison of one model, or of two over the same pushes; `where` is the dataset's path."""
     from slipmap.diagrams.application.reports.comparison_words import findings, headline
     from slipmap.diagrams.application.reports.tables import show_comparison
 
@@ -177,17 +177,17 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
 @options.effect_file_option
 @click.option(
     "--quick", is_flag=True,
-    help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
+    help="Look at ten pushes at most, with larger steps; no p-values, and no report unless -o asks for one.",
 )  # fmt: skip
 @options.count_option(
     "--draws", least=99, most=100_000, default=199,
-    about="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+    about="Datasets to simulate for the p-values; the smallest possible p is 1 / (N + 1).",
 )  # fmt: skip
 @click.option(
     "--apart",
     multiple=True,
     type=click.Choice(["table", "tracker", "finger", "force sensor"]),
-    help="What several datasets do not share; may be given several times.",
+    help="What several datasets do not share; may be repeated.",
 )
 @options.seed_option
 @options.report_option("diagnosis.html")
@@ -208,13 +208,13 @@ def diagnose(
 ) -> None:
     """Find out which physical effect the model misses.
 
-    Fits the model without effects to pushes of DATASET, asks every effect of the library, and every one of
-    your own files, what it would explain, and asks those that explain most what they leave. The verdict is
-    one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
-    of the pushes is locked away before and judges the answer.
+    Fits the model without effects to pushes of DATASET, computes how much every effect of the library and of
+    your own files would explain, and refits with those that explain most to see what is left. The verdict is
+    one effect, a set that the data cannot tell apart, no missing effect, something unknown, or too little
+    data. Some pushes are locked away beforehand and test the answer.
 
-    Several datasets, each of one object, are searched for what they miss together: each object has maps
-    of its own, while effects of table, tracker, finger and force sensor are shared, unless --apart says
+    Several datasets, each of one object, are searched for one effect that all of them miss: each object has
+    its own maps, while effects of table, tracker, finger and force sensor are shared unless --apart says
     otherwise.
     """
     effects = options.find_effects(effect_files)
@@ -245,15 +245,15 @@ def diagnose(
     from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
 
     show_diagnosis(result, measured, effects, where)
-    note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
+    note(f"report: {output}" if wanted else "a quick look writes no report; ask for one with -o FILE")
 
 
 def _refuse_for_several() -> None:
     for option, name in (("--quick", "quick"), ("--draws", "draws"), ("-o", "output"), ("--maps", "maps")):
         if options.asked_for(name):
             raise BadInput(
-                f"{option} is for one dataset; of several, leave it out (what is known of their maps stands"
-                " under `known` in each dataset.yaml)"
+                f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
+                " each dataset.yaml)"
             )
 
 

@@ -1,4 +1,4 @@
-"""`slipmap check` and `slipmap import`: pushes from a laboratory's files, and what is wrong with them."""
+"""`slipmap check` and `slipmap import`: pushes from a laboratory's files, and checks of pushes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @options.dataset_argument
 @options.output_option(
     "-o", "--output", endings=("html", "htm"),
-    about="A page with the findings and a picture of the pushes, for any browser.",
+    about="Page with the findings and a picture of the pushes, for any browser.",
 )  # fmt: skip
 @options.object_option
 @options.json_option
@@ -33,10 +33,10 @@ def check(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Say what is wrong with pushes, and what they could tell.
+    """Check recorded pushes for faults, and what they can reveal.
 
-    Looks at rates, gaps, clocks, contact and forces of DATASET, and at which places, directions and speeds
-    its pushes cover. Learns nothing. Exit code 1 where a finding would make results wrong.
+    Checks sampling rates, gaps, clocks, contact and forces of DATASET, and which places, directions and
+    speeds its pushes cover. Learns nothing. Exit code 1 if a finding would make results wrong.
     """
     from slipmap.models.measurements import read_dataset
     from slipmap.models.measurements.dataset_check import check_dataset
@@ -65,7 +65,7 @@ _SIGNS = {"good": "", "note": "note", "wrong": "WRONG"}
 
 def _show(found: DatasetCheck, where: Path) -> None:
     rows = [[finding.what, finding.found, _SIGNS[finding.verdict]] for finding in found.findings]
-    table(f"{found.dataset}: what was measured", ["what", "found", ""], rows)
+    table(f"{found.dataset}: what was measured", ["check", "found", ""], rows)
     for finding in found.findings:
         if finding.advice:
             end = "" if finding.advice.endswith("?") else "."
@@ -74,9 +74,9 @@ def _show(found: DatasetCheck, where: Path) -> None:
     for group, words in ((found.quantities, "quantities"), (found.effects, "effects")):
         could = [told.name for told in group if told.could]
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
-        paragraph(f"These pushes could tell of {words}: {', '.join(could) or 'none'}.")
+        paragraph(f"These pushes could reveal these {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not tell, for want of what stands in brackets: {', '.join(other)}.")
+            paragraph(f"They could not reveal, for the reason in brackets: {', '.join(other)}.")
     _show_advice(found, where)
 
 
@@ -85,11 +85,11 @@ def _show_advice(found: DatasetCheck, where: Path) -> None:
         paragraph(f"Worth adding: {wanted}.")
     if found.advice:
         paragraph(
-            "Record them and import all anew: slipmap import SOURCE... --setup setup.yaml -o"
-            f" {where}. After a first belief `slipmap diagnose {where}` plans the push that tells most."
+            "Record them and import everything again: slipmap import SOURCE... --setup setup.yaml -o"
+            f" {where}. After a first belief, `slipmap diagnose {where}` plans the most informative push."
         )
     paragraph(
-        "Something is WRONG: mend it first, or what is learned will be wrong."
+        "Something is WRONG: correct it first, or what is learned will be wrong."
         if found.wrong
         else f"Nothing is wrong. Next: slipmap identify {where} -o belief.npz"
     )
@@ -100,14 +100,14 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
     from slipmap.diagrams.application.reports.html_page import Section, page, picture, table as html_table
 
     findings = html_table(
-        ["what", "found", "verdict", "what to do"],
+        ["check", "found", "verdict", "what to do"],
         [[one.what, one.found, one.verdict, one.advice] for one in found.findings],
         marked=[one.verdict == "wrong" for one in found.findings],
     )
     told = "".join(
         html_table(
-            [name, "", "by"],
-            [[one.name, "could be told" if one.could else "no", one.reason] for one in group],
+            [name, "could be revealed", "why"],
+            [[one.name, "yes" if one.could else "no", one.reason] for one in group],
         )
         for name, group in (("quantity", found.quantities), ("effect", found.effects))
     )
@@ -116,13 +116,13 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
         Section(
             "pushes",
             "The pushes",
-            picture(measured_figure(dataset), "pushes on the table, contact gap and force over time"),
+            picture(measured_figure(dataset), "Pushes on the table, contact gap and force over time"),
         ),
-        Section("told", "What these pushes could tell", told),
+        Section("told", "What these pushes could reveal", told),
     ]
     if found.provenance:
-        done = html_table(["what was done"], [[sentence] for sentence in found.provenance])
-        sections.append(Section("provenance", "Where they come from", done))
+        done = html_table(["processing steps"], [[sentence] for sentence in found.provenance])
+        sections.append(Section("provenance", "Provenance", done))
     wrong = [one.what for one in found.findings if one.verdict == "wrong"]
     headline = f"Wrong: {', '.join(wrong)}." if wrong else "Nothing is wrong with these pushes."
     lead = [f"Worth adding: {wanted}." for wanted in found.advice]
@@ -134,25 +134,25 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SOURCE...")
 @options.path_option(
     "--setup", default="setup.yaml", metavar="YAML",
-    about="Where in the files object, finger and force are, and how they were measured (docs/import.md).",
+    about="Where the files hold object, finger and force, and how these were measured (docs/import.md).",
 )  # fmt: skip
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), metavar="DATASET",
-    help="Folder of the push dataset; one that is there already is replaced.",
+    help="Folder for the push dataset; an existing dataset is replaced.",
 )  # fmt: skip
 @options.object_option
 @click.option("--guess", is_flag=True, help="Write a first setup from the files, to be corrected by hand.")
 def import_files(
     sources: tuple[Path, ...], setup: Path, output: Path | None, object_name: str | None, guess: bool
 ) -> None:
-    """Make a push dataset of a laboratory's own files.
+    """Make a push dataset from a laboratory's own files.
 
     SOURCE is a file or a folder: tables of any kind, exports of Motive or Vicon, ROS bags, MCAP, MATLAB,
     HDF5, zarr, LeRobot. The setup says which of them holds what.
 
     A recording of many pushes is cut where the object rests and the finger leaves it. Clocks of several files
-    are aligned by contact, and the force's bias is taken off. What was done stands in the dataset.yaml; a
-    picture beside the dataset shows pushes, contact and force.
+    are aligned by contact, and the force's bias is removed. The dataset.yaml records these steps; a picture
+    beside the dataset shows pushes, contact and force.
     """
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.importing import guess_setup, import_dataset
@@ -160,16 +160,18 @@ def import_files(
 
     if guess:
         if setup.exists():
-            raise BadInput(f"{setup} is there already; name another file with --setup, or move it away")
+            raise BadInput(f"{setup} exists already; name another file with --setup, or move it away")
         check_output(setup, ("yaml", "yml"))
         write_text(setup, guess_setup(sources))
-        note(f"setup: {setup}; correct it, then run the same with -o DATASET in place of --guess")
+        note(f"setup: {setup}; correct it, then run the same command with -o DATASET instead of --guess")
         return
     if output is None:
-        raise click.UsageError("say with -o DATASET where the push dataset goes, or ask to --guess a setup")
+        raise click.UsageError(
+            "give a folder for the push dataset with -o DATASET, or write a setup with --guess"
+        )
     if not setup.exists():
         raise BadInput(
-            f"{setup}: there is no such file; write a first one with --guess, or name yours with --setup"
+            f"{setup}: there is no such file; write a first setup with --guess, or name yours with --setup"
         )
     check_folder(output.absolute().parent, output)
     is_replaced(output.resolve(), overwrite=True)

@@ -1,4 +1,4 @@
-"""`slipmap demo`: the whole way, on pushes that it simulates itself."""
+"""`slipmap demo`: the whole pipeline, on pushes that it simulates itself."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 @click.command()
 @options.path_option(
     "-o", "--output", "folder", default="simulated-demo", metavar="DIR",
-    about="Folder for everything that the demo makes.",
+    about="Folder for everything that the demo writes.",
 )  # fmt: skip
 @options.seed_option
 @options.count_option("--fit-pushes", most=100, default=6, about="Pushes to learn from.")
 @options.count_option("--heldout-pushes", least=0, most=100, default=4, about="Pushes to judge with.")
 @options.json_option
 def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
-    """Show the whole way on a simulated hammer; needs no data.
+    """Run the whole pipeline on a simulated hammer, without data.
 
-    Pushes a hammer with a steel head and a wooden handle at random, records it with sensor noise as a push
-    dataset, identifies its maps from that alone, and holds what it believes against the truth.
+    Pushes a hammer with a steel head and a wooden handle at random, records the pushes with sensor noise as
+    a push dataset, identifies the maps from that alone, and compares the belief with the truth.
     """
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
@@ -94,10 +94,10 @@ def _show_comparison(result: Identification, comparison: list[dict[str, Any]]) -
         numbers = shown(quantity, entry["truth"], quantity.value)
         rows.append([named(quantity), *numbers, "yes" if entry["inside"] else "no"])
     table(
-        "The belief against the truth",
+        "Belief and truth",
         ["quantity", "truth", "belief", "90 % interval", "truth inside"],
         rows,
         numbers=(1, 2, 3),
     )
     inside = sum(entry["inside"] for entry in comparison)
-    click.echo(f"{inside} of {len(comparison)} truths lie inside their 90 % intervals.")
+    click.echo(f"{inside} of {len(comparison)} true values lie inside their 90 % intervals.")

@@ -1,4 +1,4 @@
-"""`slipmap object`: from a mesh or a picture to the file that tells what was pushed."""
+"""`slipmap object`: from a mesh or a picture to the file that describes what was pushed."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ def _positive(name: str, unit: str, about: str, *, required: bool = False) -> Op
 @click.argument("file", type=click.Path(path_type=Path))
 @output_option(
     "-o", "--output", endings=("yaml", "yml"), required=True,
-    about="Where the description goes, such as mug.yaml.",
+    about="File for the description, such as mug.yaml.",
 )  # fmt: skip
-@_positive("--finger", "M", "Radius of the finger that pushes, m.", required=True)
-@_positive("--mass", "KG", "What the object weighs, if it was put on a scale.")
-@count_option("--cells", most=5000, default=60, about="About how many cells to cut the footprint into.")
+@_positive("--finger", "M", "Radius of the pushing finger, m.", required=True)
+@_positive("--mass", "KG", "Mass of the object, kg, if it was weighed.")
+@count_option("--cells", most=5000, default=60, about="Approximate number of cells of the footprint.")
 @_positive(
-    "--metres-per-unit", "M", "Of a mesh, 0.001 for millimetres; as its file says where missing, else 1."
+    "--metres-per-unit", "M", "Unit of a mesh, m: 0.001 for millimetres. [default: as in its file, else 1]"
 )
 @click.option(
     "--up",
     type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
-    help="Axis of a mesh that points up. [default: y of glTF, what COLLADA says, else z]",
+    help="Axis of a mesh that points up. [default: y for glTF, as in the file for COLLADA, else z]",
 )
-@_positive("--metres-per-pixel", "M", "Of a picture: side of a pixel.")
+@_positive("--metres-per-pixel", "M", "Of a picture: width of a pixel, m.")
 @click.option(
     "--background", type=click.IntRange(0, 65535), metavar="VALUE",
-    help="Of a picture: value of the pixels that are not the object. [default: 0]",
+    help="Of a picture: value of pixels outside the object. [default: 0]",
 )  # fmt: skip
 def describe_object(
     file: Path,
@@ -57,12 +57,12 @@ def describe_object(
 ) -> None:
     """Describe an object from a mesh or a picture, for --object.
 
-    FILE is a mesh (STL, OBJ, PLY, glTF, COLLADA), whose silhouette from above is the footprint and whose x
-    and y, once the mesh is upright, are the frame of the measured poses; or a greyscale picture from above
-    (PNG) with 0 where there is no object. A picture's frame has its origin at the middle of the object's
-    area, x to the right and y up.
+    FILE is a mesh (STL, OBJ, PLY, glTF, COLLADA) or a greyscale picture from above (PNG) with 0 where there
+    is no object. The footprint is the mesh's silhouette from above, and x and y of the upright mesh are the
+    frame of the measured poses. A picture's frame has its origin at the centroid of the object's area, x to
+    the right and y up.
 
-    `identify`, `compare`, `diagnose` and `fit` take what this writes beside CSV files.
+    `identify`, `compare`, `diagnose` and `fit` need the description for CSV files.
     """
     import yaml
 
@@ -70,13 +70,13 @@ def describe_object(
 
     if file.suffix.lower() in _PICTURES:
         if metres_per_pixel is None or metres_per_unit is not None or up is not None:
-            raise BadInput(f"{file} is a picture: give --metres-per-pixel, no --metres-per-unit and no --up")
+            raise BadInput(f"{file} is a picture: give --metres-per-pixel, but not --metres-per-unit or --up")
         shape, standing = _pictured(file, cells, metres_per_pixel, background or 0), ""
     else:
         if metres_per_pixel is not None or background is not None:
             raise BadInput(
-                f"{file} is no picture ({', '.join(_PICTURES)}): --metres-per-pixel and --background have no"
-                " meaning for it"
+                f"{file} is not a picture ({', '.join(_PICTURES)}): leave out --metres-per-pixel and"
+                " --background"
             )
         shape, standing = _modelled(file, cells, metres_per_unit, up)
     if mass is not None:
@@ -96,7 +96,7 @@ def describe_object(
 
 
 def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:
-    """The key `object` of a description. Raises BadInput where the file cannot be used."""
+    """The entry `object` of a description. Raises BadInput where the file cannot be used."""
     from slipmap.models.objects.images import cells_from_label_image, openings, read_picture
 
     try:
@@ -105,14 +105,14 @@ def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) 
         raise BadInput(str(error).replace("background=", "--background ")) from error
     closed = openings(read_picture(file), background) - len(grid.holes)
     if closed:
-        note(f"openings of less than 1 % of the object's area count as noise and are closed: {closed}")
+        note(f"openings closed as noise, each of less than 1 % of the object's area: {closed}")
     return _footprint(grid)
 
 
 def _modelled(
     file: Path, cells: int, metres_per_unit: float | None, up: str | None
 ) -> tuple[dict[str, Any], str]:
-    """The key `object` of a description, and how the mesh stands.
+    """The entry `object` of a description, and the height and up axis of the mesh in words.
 
     Raises:
         BadInput: the file cannot be used.
@@ -131,7 +131,7 @@ def _modelled(
         advice = meshes.unit_advice(extent, metres_per_unit or 1.0).replace(
             "metres_per_unit=", "--metres-per-unit "
         )
-        note(f"warning: {printable(str(file))} is {extent:.3g} m large; if that is wrong, {advice}")
+        note(f"warning: {printable(str(file))} is {extent:.3g} m wide; if that is wrong, {advice}")
     standing = f", {1e3 * height:.3g} mm high with {axis} up"
     return {**_footprint(grid), **({"height": round(height, 7)} if height > 0 else {})}, standing
 
@@ -146,7 +146,7 @@ def _footprint(grid: CellGrid) -> dict[str, Any]:
 
 
 def _written(ring: FloatArray) -> list[list[float]]:
-    """The corners of a ring (k, 2) as they are written, without those that rounding makes equal."""
+    """The rounded corners of a ring (k, 2), without those that rounding makes equal to the one before."""
     corners: list[list[float]] = ring.round(7).tolist()
     return [
         corner

@@ -1,4 +1,4 @@
-"""`slipmap effects`: the physical effects that slipmap knows, and what each of them is."""
+"""`slipmap effects`: the physical effects that slipmap knows, and their formulas."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def effects(
 ) -> None:
     """List the physical effects, or explain one of them.
 
-    Without NAME: all of them, with a sentence each. With NAME: its formula, made from the code that
-    runs, and its parameters; --picture shows one object pushed off its centre, without the effect and
-    with it.
+    Without NAME: all effects, with a sentence each. With NAME: its formula, derived from the code that
+    computes it, and its parameters; --picture shows one object pushed off-centre, with and without the
+    effect.
     """
     from slipmap.models.effects.registry import effects_named, known_effects
 
@@ -41,9 +41,10 @@ def effects(
                 "--picture draws one effect; name it, as in `slipmap effects tether --picture tether.png`"
             )
         write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
-        table("Effects that slipmap knows", ("name", "what it is"), [(e.name, e.sentence) for e in known])
+        table("Effects that slipmap knows", ("name", "what happens"), [(e.name, e.sentence) for e in known])
         paragraph(
-            "`slipmap effects NAME` explains one; docs/effects.md in the sources says how to write your own."
+            "`slipmap effects NAME` explains one; docs/effects.md in the source tree says how to write your"
+            " own."
         )
         return
     from slipmap.models.effects.written import written
@@ -72,13 +73,13 @@ def _explain(effect: Effect, text: Written) -> None:
         for letters, meaning in grouped((plain, meaning) for plain, _, meaning in text.letters):
             click.echo(wrapped(f"  {letters}: {meaning}", "      "))
     if effect.memory:
-        click.echo("  a prime marks what holds after the step")
+        click.echo("  a prime marks the value after the step")
     click.echo()
     rows = [
         (text.symbols[q.name], q.unit, f"{q.low:g} to {q.high:g}", null_of(q), q.meaning)
         for q in effect.parameters
     ]
-    table("Parameters", ("name", "unit", "range", "nothing at", "meaning"), rows, numbers=(0, 2, 3))
+    table("Parameters", ("name", "unit", "range", "vanishes at", "meaning"), rows, numbers=(0, 2, 3))
 
 
 def null_of(parameter: Parameter) -> str:
@@ -87,7 +88,7 @@ def null_of(parameter: Parameter) -> str:
 
 
 def grouped(letters: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """(letters, meaning), those of one meaning together."""
+    """(letters, meaning) with letters of the same meaning joined."""
     groups: dict[str, list[str]] = {}
     for letter, meaning in letters:
         groups.setdefault(meaning, []).append(letter)
@@ -95,7 +96,7 @@ def grouped(letters: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 def _document(effect: Effect, text: Written) -> dict[str, Any]:
-    """An effect for programs."""
+    """An effect as JSON."""
     return {
         "name": effect.name,
         "sentence": effect.sentence,

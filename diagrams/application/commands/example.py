@@ -1,4 +1,4 @@
-"""`slipmap example`: pushes to try the commands on."""
+"""`slipmap example`: sample pushes to try the commands on."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from slipmap.models.files import BadInput, writing
     "-o", "--output", "folder", default="tilted", metavar="DIR", about="New folder for the pushes.",
 )  # fmt: skip
 def example(folder: Path) -> None:
-    """Write pushes of a block with a hidden effect to find.
+    """Write sample pushes of a block with a hidden effect.
 
-    They are simulated, and the table is not level, which the model does not know. Learn from them, see the
-    model fail, find out why, and mend it.
+    The pushes are simulated on a table that is not level, which the model does not know. Learn from them, see
+    the model fail, find out why, and repair it.
     """
     from slipmap.diagrams.application.demonstration import tilted_block
     from slipmap.models.measurements import write_dataset
@@ -28,7 +28,7 @@ def example(folder: Path) -> None:
 
     following = f"`slipmap identify {folder} -o belief.npz`"
     if (folder / DESCRIPTION_FILE).exists():
-        raise BadInput(f"{folder}: there are pushes already; go on with {following}, or name another folder")
+        raise BadInput(f"{folder}: holds pushes already; continue with {following}, or name another folder")
     check_folder(folder.absolute().parent, folder)
     with writing(folder):
         write_dataset(tilted_block(), folder)

@@ -1,6 +1,6 @@
-"""`slipmap explore` and `slipmap pregrasp`: the robot learns an object's maps by pushing it, and takes it.
+"""`slipmap explore` and `slipmap pregrasp`: a robot learns an object's maps by pushing it, and grasps it.
 
-The second pushes the object to the table's edge after it has explored it, and grasps it there.
+`pregrasp` explores the object, then pushes it to the table's edge and grasps it there.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 @cell_run.scenario_option
 @options.count_option(
     "--pushes", least=0, most=100, default=5,
-    about="Pushes to learn from; with --after besides those that are there.",
+    about="Pushes to learn from; with --after, in addition to the earlier ones.",
 )  # fmt: skip
 @options.count_option(
     "--checks", least=0, most=100, default=3,
-    about="Random pushes after these, which only judge what was learned.",
+    about="Random pushes afterwards, which only test what was learned.",
 )  # fmt: skip
 @click.option(
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
-    help="How the next push is chosen (Algorithm 2).",
+    help="How to choose the next push (Algorithm 2).",
 )  # fmt: skip
-@options.effect_option(required=False, purpose="Effect of the library to add to the model that learns")
+@options.effect_option(required=False, purpose="Effect of the library to add to the model")
 @cell_run.adapt_option
 @cell_run.cell_options("exploration")
 @options.path_option(
     "--resume", metavar="DIR",
-    about="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
+    about="Continue the run in this folder that was cut off or gave up, with its original options.",
 )  # fmt: skip
 @options.path_option(
     "--after", metavar="DIR",
-    about="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
-    " many more, and the model has the effects that are given now. The object lies where that run left it.",
+    about="Start from what the run in this folder recorded: learn from all its pushes and --pushes further"
+    " ones, with the effects given now. The object lies where that run left it.",
 )  # fmt: skip
 @options.seed_option
 @options.json_in_folder_option
@@ -67,16 +67,16 @@ def explore(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a robot explore an object: look, poke, learn, again.
+    """Let a robot explore an object: look, push, learn, repeat.
 
-    A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push
-    the belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own
-    sensors is used. The pushes are left as a dataset, on which every other command works. Each is
-    written as soon as it is recorded: --resume continues a run that was killed. Where pushes surprise
-    the model and `slipmap diagnose` names an effect, --after begins with the pushes that are there, and
-    --effect adds it. With --adapt the robot does that by itself.
+    A Kuka iiwa with a finger pushes the object on a table, a depth camera watches, and the belief about mass
+    and friction is updated after each push. The robot uses only the camera's images and the arm's own
+    sensors. The pushes form a dataset that every other command can use. Each is written as soon as it is
+    recorded, so --resume can continue a run that was killed. If pushes surprise the model and `slipmap
+    diagnose` names an effect, --after starts from the recorded pushes and --effect adds the effect. With
+    --adapt, the robot does this by itself.
 
-    The robot is simulated, unless --hardware is given.
+    The robot is simulated unless --hardware is given.
     """
     from slipmap.diagrams.loops import exploration_run
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
@@ -87,7 +87,7 @@ def explore(
         settled = (
             "object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed", "adapt"
         )  # fmt: skip
-        _refuse_beside(context, "--resume goes on as it began", *settled)
+        _refuse_beside(context, "--resume keeps the options of the run", *settled)
         cell = cell._replace(folder=resume)
         scenario, wanted, before = resumed(resume)
     else:
@@ -97,14 +97,16 @@ def explore(
         if after is None:
             scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
         else:
-            _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
+            _refuse_beside(context, "--after uses the cell of the earlier run", "object", "scenario")
             if after.resolve() == cell.folder.resolve():
-                raise BadInput(f"--after {after}: is where this run would go; name another folder with --out")
+                raise BadInput(
+                    f"--after {after}: this run would write there too; name another folder with --out"
+                )
             scenario, _, recorded = resumed(after)
             if not pushes + checks:
                 raise BadInput(
-                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {after / PUSHES}` learns from"
-                    " those that are there"
+                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {after / PUSHES}` learns from the"
+                    " recorded ones"
                 )
             before = recorded.all_to_learn_from()
             pushes += len(before.trials)
@@ -116,7 +118,7 @@ def explore(
         )
     if before is not None and cell.hardware is not before.of_a_real_cell:
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
-        raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
+        raise BadInput(f"{resume or after}: that run was made {was} --hardware to continue it")
     make_folder(cell.folder)
     lock_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
@@ -146,7 +148,7 @@ def explore(
     cell.keep_recording(meshcat)
     if failure:
         kept = (
-            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume"
+            f"{failure} What was recorded until then is kept; continue with `slipmap explore --resume"
             f" {cell.folder}`."
         )
         raise cell_run.Stopped(kept) if stopped else click.ClickException(kept)
@@ -158,10 +160,10 @@ def explore(
 @options.explorations_option
 @click.option(
     "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
-    help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
+    help="Model to plan with: all hypotheses, one drawn from them, a uniform object, or the truth.",
 )  # fmt: skip
 @options.effect_option(
-    required=False, purpose="Effect of the library to add to the model that learns and plans"
+    required=False, purpose="Effect of the library to add to the model for learning and planning"
 )
 @cell_run.adapt_option
 @cell_run.cell_options("pregrasp")
@@ -178,13 +180,14 @@ def pregrasp(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a robot take what it cannot grasp where it lies.
+    """Push an object to the table's edge and grasp it there.
 
-    It explores the object as `slipmap explore` does, pushes it to where it sticks out over the table's edge
-    and certainly stays, grasps it there and lifts it. The pushes are left as a dataset; those towards the
-    edge judge what was learned. The command succeeds only where the object is held in the end.
+    For objects that cannot be grasped where they lie. The robot explores the object as `slipmap explore`
+    does, pushes it until it sticks out over the table's edge without risk of falling, grasps it there and
+    lifts it. The pushes are saved as a dataset; those towards the edge test what was learned. The command
+    succeeds only if the gripper holds the object at the end.
 
-    The robot is simulated, unless --hardware is given.
+    The robot is simulated unless --hardware is given.
     """
     from slipmap.diagrams.loops import pregrasp_loop
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
@@ -196,7 +199,7 @@ def pregrasp(
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects, adapt=adapt)
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
-        raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
+        raise BadInput("--method true: the truth is known for simulated objects only; choose another method")
     make_folder(cell.folder)
     lock_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario)
@@ -213,7 +216,7 @@ def pregrasp(
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run.to_json()})
     except BaseException as error:
         if not cell.hardware:
-            record.end()  # a simulation can be made again: the same command may replace what it left
+            record.end()  # a simulation can be repeated: the same command may replace its results
         if isinstance(error, ExplorationFailed):
             stopped = isinstance(error, ExplorationStopped)
             raise (click.Abort() if stopped else click.ClickException(str(error))) from error
@@ -230,10 +233,10 @@ def pregrasp(
 
 
 def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
-    """Refuse options, by their names, beside one that settles them.
+    """Refuse options, by name, that another option already determines.
 
     Raises:
-        BadInput: names the first that was given.
+        BadInput: one of them was given.
     """
     for parameter in context.command.params:
         name = parameter.opts[-1].removeprefix("--")
@@ -257,9 +260,9 @@ def _show_exploration(run: ExplorationRun) -> None:
     show_effects(run.identification)
     if not run.angle_seen:
         paragraph(
-            "The object is round, as far as the camera sees. Its angle cannot be seen and was held; it counts"
-            " as unknown to a radian. Errors of predicted pushes include the turning that nobody saw, and"
-            " where the mass lies is told in the frame of an object that does not turn."
+            "The object looks round to the camera. Its angle cannot be seen, so it was held fixed, with an"
+            " uncertainty of one radian. Errors of predicted pushes include rotation that nobody saw, and the"
+            " location of the mass is given in the frame of an object that does not turn."
         )
     truth = run.truth()
     if truth is None:
@@ -271,14 +274,14 @@ def _show_exploration(run: ExplorationRun) -> None:
 
 
 def _show_surprises(run: ExplorationRun, folder: Path) -> None:
-    """What the last lines must not leave out: pushes that missed by more than their intervals."""
+    """Print which pushes ended outside their intervals."""
     from slipmap.diagrams.application.reports.tables import show_surprises
 
     show_surprises(run.identification.pushes, str(folder / "pushes"))
 
 
 def _show_repair(run: ExplorationRun) -> None:
-    """How the model was repaired on the way, where the run was to adapt."""
+    """Print how the model was repaired during the run, if it was to adapt."""
     if run.repair is not None:
         from slipmap.diagrams.application.reports.repair_words import repair_story
 
@@ -289,7 +292,7 @@ def _show_repair(run: ExplorationRun) -> None:
 def _show_truth(truth: dict[str, Any]) -> None:
     believed, true = truth["center_of_mass_believed"], truth["center_of_mass"]
     table(
-        "Centre of mass, against the truth that only the simulator knows",
+        "Centre of mass, and the truth that only the simulator knows",
         ["", "x, mm", "y, mm"],
         [
             ["believed", *(f"{1e3 * value:.1f}" for value in believed)],
@@ -301,31 +304,31 @@ def _show_truth(truth: dict[str, Any]) -> None:
 
 
 def _monitor_words(watch: Watch) -> str:
-    """What the monitor says at the end, in a sentence or two."""
+    """The monitor's summary, in a sentence or two."""
     from slipmap.diagrams.systems.model_monitor import LEVEL
 
     if not watch.judged:
-        return "Monitor: no push was made after the belief had formed, so none was held against it."
+        return "Monitor: no push was made after the first belief, so there was nothing to check it against."
     largest = max(push.misfit for push in watch.judged)
     count = f"{len(watch.judged)} push{'es' * (len(watch.judged) > 1)}"
-    numbers = f"{count} held against the belief before each, largest misfit {largest:.1f} (1 is usual)"
+    numbers = f"{count} compared with the belief before each; largest misfit {largest:.1f} (typically 1)"
     outside = [push for push in watch.judged if push.surprising]
     if outside:
         worst = max(outside, key=lambda push: push.error / push.allowed)
         numbers += (
-            f"; outside the 95 % region {len(outside)}, the worst push {worst.trial + 1}:"
-            f" {1e3 * worst.error:.1f} mm off where {1e3 * worst.allowed:.1f} mm were expected at most"
+            f"; {len(outside)} outside the 95 % region, the worst being push {worst.trial + 1} with an error"
+            f" of {1e3 * worst.error:.1f} mm where at most {1e3 * worst.allowed:.1f} mm were expected"
         )
     peak = max(push.evidence for push in watch.judged)
     if any(push.alarm for push in watch.judged):
         first = next(push.trial for push in watch.judged if push.alarm)
         return (
-            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since taken back'}:"
+            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since withdrawn'}:"
             f" {numbers}."
-            " The object does not move as the model says; `slipmap diagnose` may tell why, and"
-            " `slipmap explore --after` go on with the effect that it names."
+            " The object does not move as the model predicts. `slipmap diagnose` may say why, and"
+            " `slipmap explore --after` continues with the effect that it names."
         )
-    return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."
+    return f"Monitor: no alarm; {numbers}, largest evidence {peak:.1f} (alarm at {1 / LEVEL:.0f})."
 
 
 def _show_pregrasp(run: PregraspRun) -> None:
@@ -343,13 +346,14 @@ def _show_pregrasp(run: PregraspRun) -> None:
         )
     if rows:
         table(
-            "Pushes towards the edge, as planned and as they went",
-            ["push", "then off the goal, mm", "at the goal, %", "falls, %", "margin, mm"],
+            "Pushes towards the edge: distance from the goal afterwards; as planned, probabilities of"
+            " reaching it and of falling, and the margin",
+            ["push", "distance, mm", "reaches it, %", "falls, %", "margin, mm"],
             rows,
             numbers=(0, 1, 2, 3, 4),
         )
     if run.held:
-        paragraph(f"After {len(run.pushes)} pushes the gripper took the object at the edge, and holds it.")
+        paragraph(f"After {len(run.pushes)} pushes, the gripper grasped the object at the edge and holds it.")
     else:
         paragraph(f"The object is not held: {run.reason}.")
     if run.true_height is not None and run.fate != ("held" if run.held else "gave up"):

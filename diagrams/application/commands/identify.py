@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     type=click.Choice(["gauss-newton", "paper"]),
     default="gauss-newton",
     show_default=True,
-    help="How maps are found; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
+    help="How to find the maps; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
 )
 @click.option(
     "--plain",
     is_flag=True,
-    help="Use Coulomb's law of friction alone, which takes a third of the time.",
+    help="Consider Coulomb's law of friction only, which takes a third of the time.",
 )
 @options.hypotheses_option
 @options.seed_option
-@options.count_option("--fit-pushes", about="Learn from the first N fit pushes alone.")
+@options.count_option("--fit-pushes", about="Learn from the first N fit pushes only.")
 @options.object_option
 @options.maps_option
 @options.pictures_option
@@ -61,11 +61,11 @@ def identify(
 ) -> None:
     """Learn maps of mass and friction from recorded pushes.
 
-    DATASET is a folder with a dataset.yaml (push-dataset/1), or files of the MIT push dataset (.json,
-    .h5), or CSV files. Pushes with the role `fit` teach; `heldout` pushes only judge.
+    DATASET is a folder with a dataset.yaml (push-dataset/1), files of the MIT push dataset (.json, .h5), or
+    CSV files. The model learns from pushes with the role `fit`; `heldout` pushes only test it.
 
-    Writes the belief, a picture of its maps (belief.maps.png) and one of the pushes as measured and as
-    predicted (belief.pushes.png), and prints how well it predicts and what these pushes show.
+    Writes the belief, a picture of its maps (belief.maps.png) and one of the measured and predicted pushes
+    (belief.pushes.png). Prints how well the belief predicts and which quantities the pushes determine.
     """
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress, maps)
@@ -93,14 +93,14 @@ def identify(
 
 
 def _tell_findings(dataset: PushDataset, where: Path) -> None:
-    """What `slipmap check` finds, in two lines."""
+    """Print the findings of `slipmap check` in two lines."""
     from slipmap.models.measurements.dataset_check import check_dataset
 
     found = check_dataset(dataset)
     wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
     more = f"; `slipmap check {where}` says more"
-    note(f"check: wrong with {', '.join(wrong)}{more}" if wrong else "check: nothing is wrong")
-    note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes need adding")
+    note(f"check: wrong: {', '.join(wrong)}{more}" if wrong else "check: nothing is wrong")
+    note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes to add")
 
 
 @click.command()
@@ -128,12 +128,12 @@ def fit(
 ) -> None:
     """Learn maps of mass and friction together with effects.
 
-    Adds the effects that you name, of the library or of your own files, to the model and learns their
-    parameters and the maps at the same time from the pushes of DATASET with the role `fit`; `heldout`
-    pushes only judge. `slipmap diagnose` says which effects are worth adding.
+    Adds the effects that you name, from the library or from your own files, to the model, and learns their
+    parameters together with the maps from the pushes of DATASET with the role `fit`; `heldout` pushes only
+    test the result. `slipmap diagnose` says which effects are worth adding.
 
-    Writes a belief that `predict` and `compare` take, and the same pictures as `identify`; prints how well it
-    predicts beside what `identify` learns without the effects, and whether the pushes speak for them.
+    Writes a belief for `predict` and `compare`, and the same pictures as `identify`. Prints how well it
+    predicts with and without the effects, and whether the pushes support them.
     """
     from slipmap.models.effects.registry import effects_named
 
@@ -180,20 +180,20 @@ def keep(
     title = ""
     if len(shown) < len(result.pushes):
         count = f"{len(shown)} of {len(result.pushes)} pushes"
-        title = f"{dataset.name}: {count}, from the best to the worst predicted"
+        title = f"{dataset.name}: {count}, from best to worst predicted"
     paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(shown, dataset, title=title))
     progress("drawing", 2, 2)
     if title:
-        note(f"the picture of pushes shows {title.partition(': ')[2]}; --json holds all")
+        note(f"the picture of pushes shows {title.partition(': ')[2]}; --json writes all")
     return paths
 
 
 _MOST_DRAWN, _CHOSEN = 48, 12
-"""Pushes that are all drawn; more are shown by a dozen."""
+"""Up to so many pushes are all drawn; of more, a dozen."""
 
 
 def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
-    """All pushes where they are few, else a dozen that judge, from the best to the worst predicted."""
+    """All pushes where they are few, else a dozen (held-out ones, if any) from best to worst predicted."""
     if len(pushes) <= _MOST_DRAWN:
         return pushes
     judges = [push for push in pushes if push.role == "heldout"] or list(pushes)
@@ -203,7 +203,7 @@ def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
 
 
 def show(result: Identification, dataset: PushDataset, where: str | None) -> None:
-    """Print what was found; `where` as of `show_errors`."""
+    """Print an identification; `where` as in `show_errors`."""
     from slipmap.diagrams.application.reports.tables import (
         is_doubted,
         show_errors,
@@ -212,9 +212,9 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     )
 
     click.echo(
-        f"{printable(dataset.name)}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn"
-        f" from, {len(dataset.heldout_trials)} held out\n"
-        f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
+        f"{printable(dataset.name)}: {len(dataset.grid)} cells; pushes: {len(dataset.fit_trials)} to fit,"
+        f" {len(dataset.heldout_trials)} held out\n"
+        f"{len(result.belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where)
     show_friction_laws(result.friction_laws)
@@ -223,10 +223,10 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
 
 
-_THEY_FIT = "The pushes fit the maps that are known: free maps do not explain them much better."
+_THEY_FIT = "The pushes agree with the known maps: free maps do not explain them much better."
 _THEY_DO_NOT_FIT = (
-    "THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: free maps explain them far better. Either what is said to"
-    " be known is wrong, or an effect is missing that free maps can imitate; `slipmap diagnose` asks which."
+    "THE PUSHES CONTRADICT THE KNOWN MAPS: free maps explain them far better. Either the maps given as known"
+    " are wrong, or an effect is missing that free maps can imitate; `slipmap diagnose` looks for it."
 )
 
 
@@ -248,35 +248,35 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
 
 
 _SAID = {
-    "for": "They speak for {effects}.",
-    "against": "THEY SPEAK AGAINST {effects}.",
-    "undecided": "They do not tell whether {effects} is there; its size holds only if it is.",
+    "for": "The pushes support {effects}.",
+    "against": "THE PUSHES SPEAK AGAINST {effects}.",
+    "undecided": "The pushes do not show whether {effects} is present; its size holds only if it is.",
 }
-"""What pushes say of effects, by `Paired.verdict`."""
+"""What the pushes say about effects, by `Paired.verdict`."""
 
 
 def _show_gain(result: Identification) -> None:
     from slipmap.diagrams.application.reports.comparison_words import millimetres
 
     role = result.judges
-    pushes = "Held-out pushes" if role == "heldout" else "The pushes that it learned from"
+    pushes = "Held-out pushes" if role == "heldout" else "Fit pushes"
     paired = result.with_and_without
     assert result.without_effects is not None and paired is not None
     now, before = (float(learnt.errors(role).mean()) for learnt in (result, result.without_effects))
     effects = " and ".join(
         effect.name for effect in result.belief.effects if effect.name in result.effect_estimates
     )
-    change = f"Push by push, their misfit is {paired.ratio:.2g} times what it is without"
+    change = f"Push by push, their misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
         change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
     paragraph(
-        f"{pushes} end {millimetres(now)} mm from where they were predicted; without effects"
+        f"{pushes} end {millimetres(now)} mm from their predictions on average; without {effects},"
         f" {millimetres(before)} mm. {change}. {_SAID[paired.verdict].format(effects=effects)}"
     )
 
 
 def show_effects(result: Identification) -> None:
-    """Print how large the effects of the model are, each in a sentence."""
+    """Print the sizes of the model's effects, each in a sentence."""
     from slipmap.diagrams.application.reports.effect_words import effect_in_words
     from slipmap.models.inference.diagnosis.results import estimates_by_effect
 

@@ -1,4 +1,8 @@
-"""`slipmap bench`: how fast the model runs on this machine, and against other simulators."""
+"""`slipmap bench`: how fast the model runs on this machine, beside other simulators.
+
+Also `slipmap completion`, which lets a shell complete commands with the Tab key, and `slipmap doctor`, which
+checks that this machine has everything slipmap needs.
+"""
 
 from pathlib import Path
 
@@ -12,9 +16,9 @@ from slipmap.models.files import BadInput, write_json
 @click.command()
 @options.json_option
 def bench(json_file: Path | None) -> None:
-    """Measure how fast pushes are simulated here.
+    """Measure how fast this machine simulates pushes.
 
-    Other engines stand beside it where they are installed.
+    Times other physics engines too, where they are installed.
     """
     with Progress() as progress:
         prepare_kernels()
@@ -23,9 +27,6 @@ def bench(json_file: Path | None) -> None:
         result = benchmark.run_benchmark(progress=progress)
     write_json(json_file, result)
     click.echo(benchmark.format_table(result))
-
-
-# `slipmap completion`: lets a shell complete commands and options with the Tab key.
 
 
 SHELLS = ("bash", "zsh", "fish")
@@ -37,7 +38,7 @@ SHELLS = ("bash", "zsh", "fish")
 def completion(ctx: click.Context, shell: str) -> None:
     """Let a shell complete commands with the Tab key.
 
-    Prints what lets SHELL complete commands and options.
+    Prints the script with which SHELL completes commands and options.
 
     Put `eval "$(slipmap completion bash)"` into ~/.bashrc, the same with zsh into ~/.zshrc, or
     `slipmap completion fish | source` into ~/.config/fish/config.fish.
@@ -49,17 +50,14 @@ def completion(ctx: click.Context, shell: str) -> None:
     click.echo(complete(ctx.find_root().command, {}, "slipmap", "_SLIPMAP_COMPLETE").source())
 
 
-# `slipmap doctor`: has this machine all that slipmap needs?
-
-
 @click.command()
 @options.json_option
 def doctor(json_file: Path | None) -> None:
-    """Say whether this machine has all that slipmap needs.
+    """Check that this machine has everything slipmap needs.
 
-    Looks for packages in the right versions, renders a test picture, compiles, writes to the cache, and
-    sends a message through LCM. For what is missing it names the command that installs it. Exit code 0
-    means that slipmap will run; a browser and LCM are optional.
+    Checks the versions of packages, renders a test picture, compiles, writes to the cache, and sends a
+    message through LCM. For anything missing, it names the command that installs it. Exit code 0 means that
+    slipmap will run; a browser and LCM are optional.
     """
     from slipmap.diagrams.application.health import examine
 
@@ -73,5 +71,5 @@ def doctor(json_file: Path | None) -> None:
     lacking = [finding.name for finding in found if finding.needed and not finding.ok]
     write_json(json_file, {"ready": not lacking, "checks": [vars(finding) for finding in found]})
     if lacking:
-        raise BadInput(f"this machine lacks {', '.join(lacking)}; the lines above say how to get it")
-    click.echo("All that slipmap needs is there.")
+        raise BadInput(f"this machine lacks {', '.join(lacking)}; the lines above say how to install it")
+    click.echo("Everything slipmap needs is there.")

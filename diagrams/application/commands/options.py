@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share, and what is checked of them before any work is done."""
+"""Arguments and options that several commands share, and checks of them before any work is done."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def output_option(
 
 
 def _shown(default: object) -> dict[str, Any]:
-    """What an option is given for a default that its help shows; nothing where there is none."""
+    """Settings of an option whose help shows its default; empty where there is none."""
     return {} if default is None else {"default": default, "show_default": True}
 
 
@@ -76,8 +76,8 @@ def picture_option(*names: str, default: str | None = None, about: str) -> Optio
     return output_option(*names, endings=("png", "pdf", "svg"), default=default, about=about)
 
 
-def results_option(*parameter: str, default: str, about: str = "Folder of the results.") -> Option:
-    """The option `--output DIR` of a study that goes on where it was stopped."""
+def results_option(*parameter: str, default: str, about: str = "Folder for the results.") -> Option:
+    """The option `--output DIR` of a study that continues where it was stopped."""
     return click.option(
         "-o", "--output", *parameter, type=click.Path(file_okay=False, path_type=Path), metavar="DIR",
         help=about, **_shown(Path(default)),
@@ -92,7 +92,7 @@ def belief_option(*, required: bool, more: str = "") -> Option:
 
 def report_option(default: str) -> Option:
     """The option `--output FILE` of a report for a browser."""
-    about = "The report, one file for any browser; it needs no network."
+    about = "The report, one file that any browser opens without a network."
     return output_option("-o", "--output", endings=("html", "htm"), default=default, about=about)
 
 
@@ -101,7 +101,7 @@ def effect_option(*, required: bool, purpose: str) -> Option:
     return click.option(
         "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
         shell_complete=_completed(lambda: [effect.name for effect in find_effects(())]),
-        help=f"{purpose}, such as table_tilt; may be given several times.",
+        help=f"{purpose}, such as table_tilt; may be repeated.",
     )  # fmt: skip
 
 
@@ -109,12 +109,12 @@ def objects_option(name: str, *, about: str, default: str = "all six") -> Option
     """An option that names some of the six objects."""
     return click.option(
         name, "object_names", multiple=True, metavar="NAME", shell_complete=complete_objects,
-        help=f"{about}; may be given several times. [default: {default}]",
+        help=f"{about}; may be repeated. [default: {default}]",
     )  # fmt: skip
 
 
 def _completed(names: Callable[[], Sequence[str]]) -> Callable[..., list[str]]:
-    """What a shell offers for an option whose values are names; they are asked for when it does."""
+    """Completes an option whose values are names; the names are looked up only then."""
     return lambda context, parameter, begun: [name for name in names() if name.startswith(begun)]
 
 
@@ -133,50 +133,50 @@ datasets_argument = click.argument(
 )
 json_option = output_option("--json", "json_file", about="Write the result as JSON.")
 json_in_folder_option = path_option(
-    "--json", "json_file", about="Write the result as JSON; it may go into the folder of --out."
+    "--json", "json_file", about="Write the result as JSON; the file may lie in the folder of --out."
 )
-"""For commands that make a folder first, and check the file then."""
+"""For commands that make a folder first and check the file afterwards."""
 seed_option = count_option(
-    "--seed", least=0, most=2**32 - 1, default=0, metavar=None, about="Seed of every random draw."
+    "--seed", least=0, most=2**32 - 1, default=0, metavar=None, about="Seed of all random draws."
 )
 object_option = click.option(
     "--object",
     "object_name",
     metavar="NAME|YAML",
-    help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
-    " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
-    " other names or units, csv.",
+    help="What was pushed, for MIT and CSV files, which do not say: a shape of the MIT push dataset, such as"
+    " rect1, or a YAML file with the keys object and finger of a dataset.yaml, and csv where columns have"
+    " other names or units.",
 )
 maps_option = path_option(
     "--maps",
-    about="YAML file of what is known of the object's maps: the keys under `known` of a dataset.yaml.",
+    about="YAML file with what is known of the object's maps: the keys under `known` in a dataset.yaml.",
 )
 effect_file_option = path_option(
     "--effect-file", "effect_files", multiple=True,
-    about="Python file with effects of your own, beside those of the library; may be given several times.",
+    about="Python file with your own effects, in addition to the library's; may be repeated.",
 )  # fmt: skip
 belief_output_option = output_option(
-    "-o", "--output", endings=["npz"], required=True, about="Where the belief goes, such as belief.npz."
+    "-o", "--output", endings=["npz"], required=True, about="File for the belief, such as belief.npz."
 )
 hypotheses_option = count_option(
     "--hypotheses", least=2, most=1000, default=20, metavar="K", about="Hypotheses to find."
 )
 pictures_option = path_option(
-    "--pictures", metavar="DIR", about="Folder for the pictures; beside the belief if not given."
+    "--pictures", metavar="DIR", about="Folder for the pictures. [default: that of the belief]"
 )
 explorations_option = count_option("--pushes", most=100, default=5, about="Pushes to learn from.")
 
 
 def asked_for(option: str) -> bool:
-    """Whether an option of the command that runs was given, rather than left at its default."""
+    """Whether an option of the running command was given rather than left at its default."""
     return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
 
 
 def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
-    """The library's effects, and those of some files.
+    """The library's effects and those of some files.
 
     Raises:
-        EffectError: a file is faulty, or has an effect of a name that is taken.
+        EffectError: a file is faulty, or names an effect like another one.
     """
     from slipmap.models.effects.registry import known_effects
 
@@ -186,13 +186,13 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
 def load_dataset(
     path: Path, object_name: str | None, progress: Progress, maps: Path | None = None
 ) -> PushDataset:
-    """Read a dataset, with progress, and tell what looks wrong about it.
+    """Read a dataset with progress, and print warnings about it.
 
     Args:
         path: of the dataset.
-        object_name: what was pushed, where the dataset does not say it.
+        object_name: what was pushed, where the dataset does not say.
         progress: called after each trial.
-        maps: file of what is known of the object's maps.
+        maps: file with what is known of the object's maps.
 
     Raises:
         DatasetError: it cannot be used.
@@ -208,17 +208,17 @@ def load_dataset(
     )
 
 
-# Parameters that are written though their type does not say so.
+# Parameters that name outputs although their type does not say so.
 _FILES_IN_FOLDERS = ("json_file", "recording")
 _FOLDERS = ("folder", "output", "pictures")
 _MEASURED = (".yaml", ".yml", ".json", ".csv", ".h5", ".hdf5")  # files that may be part of a dataset
 
 
 def keep_files_apart(command: click.Command) -> None:
-    """Have a command refuse, before any work, to write over what it reads or two results over each other.
+    """Make a command refuse, before any work, to overwrite its inputs or to write two results to one file.
 
     Raises:
-        UsageError: when the command is called so.
+        UsageError: raised when the command is called like that.
     """
     work = command.callback
     assert work is not None
@@ -242,17 +242,17 @@ def _check(command: click.Command, arguments: dict[str, Any]) -> None:
                 read.append(path)
     for (one, path), (other, same) in combinations(written, 2):
         if path.resolve() == same.resolve():
-            raise click.UsageError(f"{one} and {other} both name {path}; give each a file of its own.")
+            raise click.UsageError(f"{one} and {other} both name {path}; give each its own file.")
     for option, path in written:
         for source in read:
             if path.resolve() == source.resolve() or _is_part(path, source):
                 raise click.UsageError(
-                    f"{option} {path} would write over what the command reads; name another file."
+                    f"{option} {path} would overwrite what the command reads; name another file."
                 )
 
 
 def _is_part(path: Path, source: Path) -> bool:
-    """Whether an existing file may be one of a dataset's."""
+    """Whether an existing file may belong to a dataset."""
     if not (source.is_dir() and path.is_file() and path.suffix.lower() in _MEASURED):
         return False
     return path.resolve().is_relative_to(source.resolve())

@@ -1,7 +1,7 @@
-"""`slipmap record` and `slipmap replay`: pushes that somebody else makes, as they happen or from a log; and
-`slipmap station`, a twin of the real cell, behind the same messages.
+"""`slipmap record`, `slipmap replay` and `slipmap station`: pushes from the messages of a robot's cell.
 
-The first two find the pushes among the messages of a robot's cell; the second learns from them.
+`record` finds pushes that someone else makes among the messages of a running cell, `replay` finds them in a
+log and learns from them, and `station` simulates a cell with the messages of a real one.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ MCAP_ENDING = ".mcap"
 @cell_run.scenario_option
 @options.path_option(
     "-o", "--output", required=True, metavar="DATASET",
-    about="Folder for the dataset; there must be none yet.",
+    about="Folder for the dataset; it must not hold one yet.",
 )  # fmt: skip
 @options.path_option(
     "--log", "log_file",
-    about="Write all messages as they come to an LCM log, for `slipmap replay`, or to an MCAP file (.mcap),"
-    " which viewers open, too; there must be none yet.",
+    about="Write all messages as received to an LCM log, for `slipmap replay`, or to an MCAP file (.mcap),"
+    " which viewers open too; the file must not exist yet.",
 )  # fmt: skip
-@options.count_option("--pushes", about="End by itself after N pushes.")
+@options.count_option("--pushes", about="Stop after N pushes.")
 @options.json_option
 def record(
     url: str,
@@ -51,9 +51,9 @@ def record(
 ) -> None:
     """Record the pushes in a robot's cell, whoever makes them.
 
-    Listens to the messages of a running cell, real or of `slipmap station`, and sends none. A push is
-    written as soon as the object, moved by the lowered finger, has been seen at rest again. Every fourth
-    push is held out to judge by. It runs until Ctrl-C, and then reports how late the camera is.
+    Listens to the messages of a running cell, real or simulated by `slipmap station`, and sends none. Writes
+    a push as soon as the object, moved by the lowered finger, is seen at rest again. Every fourth push is
+    held out. Runs until Ctrl-C, and then reports the latency of the camera.
     """
     from slipmap.diagrams.hardware.control import until_ctrl_c
     from slipmap.diagrams.hardware.message_stream import MessageStream
@@ -70,7 +70,7 @@ def record(
         commands = (IIWA_COMMAND, GRIPPER_COMMAND) if log_file is not None else ()
         stream = MessageStream(url, [*HEARD, *commands])
         stack.callback(stream.close)
-        note(f"listening at {url}; Ctrl-C ends it")
+        note(f"listening at {url}; stop with Ctrl-C")
         with until_ctrl_c() as stopped:
             recorder = PushRecorder(output)
             record_pushes(stream, listener, recorder, status, log=log, most=pushes, stopped=stopped)
@@ -99,9 +99,9 @@ def replay(
 ) -> None:
     """Find the pushes in a log of messages, and learn from them.
 
-    LOG is what `slipmap record --log` (LCM or MCAP) or LCM's `lcm-logger` wrote. It is played as fast as
-    possible, by the senders' time stamps, as if the cell were running. Leaves what `slipmap explore`
-    leaves, and reports how late the camera is.
+    LOG was written by `slipmap record --log` (LCM or MCAP) or by `lcm-logger`. It is played as fast as
+    possible by the senders' time stamps, as if the cell were running. Writes the same files as `slipmap
+    explore`, and reports the latency of the camera.
     """
     from slipmap.diagrams.application.commands.identify import show
     from slipmap.diagrams.loops.push_listener import PushListener, why_none
@@ -148,7 +148,7 @@ def _listen(log: Path, listener: PushListener, folder: Path) -> None:
         raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
     status(hearing(listener))
     if reader.cut_off:
-        note(f"warning: {log} ends in the midst of a message; what comes before is used")
+        note(f"warning: {log} ends in the middle of a message; everything before it is used")
 
 
 def _heard(listener: PushListener, lag: CameraLag | None) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def _heard(listener: PushListener, lag: CameraLag | None) -> dict[str, Any]:
 
 
 def _shown_lag(dataset: PushDataset) -> CameraLag | None:
-    """How late the camera is, told on stdout; None where the pushes cannot tell, or at Ctrl-C."""
+    """Print and return the camera's latency; None where the pushes do not show it, or at Ctrl-C."""
     from slipmap.models.inference.camera_lag import camera_lag
 
     prepare_kernels()
@@ -172,17 +172,17 @@ def _shown_lag(dataset: PushDataset) -> CameraLag | None:
 
 
 def _lag_words(lag: CameraLag | None) -> str:
-    """What is known of the camera's lag, in a sentence or two."""
+    """The camera's latency, in a sentence or two."""
     if lag is None:
-        return "Camera: the pushes cannot tell whether it is late; the object was not seen while it moved."
+        return "Camera: its latency cannot be estimated, because the object was not seen while it moved."
     value, low, high = (1e3 * number for number in (lag.value, lag.low, lag.high))
     numbers = f"{low:.0f} to {high:.0f} ms, from {lag.pushes} push{'es' * (lag.pushes > 1)}"
     if not lag.shown:
-        return f"Camera: no lag beside the arm is to be seen ({numbers})."
+        return f"Camera: no latency relative to the arm is visible ({numbers})."
     which = "late" if value > 0 else "early"
     return (
-        f"Camera: its pictures are {abs(value):.0f} ms {which} beside the arm ({numbers}). See to the clocks"
-        " of their drivers, or learn with it: `slipmap fit --effect sensor_latency`."
+        f"Camera: its images are {abs(value):.0f} ms {which} relative to the arm ({numbers}). Correct the"
+        " clocks of the drivers, or include it in the model: `slipmap fit --effect sensor_latency`."
     )
 
 
@@ -190,7 +190,7 @@ def _lag_words(lag: CameraLag | None) -> str:
 def _new_log(path: Path) -> Iterator[EventLog]:
     check_output(path)
     if path.exists():
-        raise BadInput(f"{path}: is there already; choose another name")
+        raise BadInput(f"{path}: exists already; choose another name")
     from slipmap.diagrams.hardware.mcap_log import McapLog
     from slipmap.diagrams.hardware.message_stream import LcmLog
 
@@ -210,11 +210,11 @@ def _new_log(path: Path) -> Iterator[EventLog]:
 @cell_run.scenario_option
 @cell_run.station_object_option
 def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
-    """Simulate a robot's cell behind the messages of a real one.
+    """Simulate a robot's cell with the messages of a real one.
 
-    Arm, gripper and camera send and take LCM messages in real time as the drivers of a real iiwa, a Schunk
-    gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
-    difference. It runs until Ctrl-C. Every ten seconds it reports whether it keeps up with real time.
+    The simulated arm, gripper and camera send and receive LCM messages in real time like the drivers of an
+    iiwa, a Schunk gripper and a depth camera, so `slipmap explore --hardware` in another process sees no
+    difference. Runs until Ctrl-C. Every ten seconds, it reports whether it keeps up with real time.
     """
     from slipmap.diagrams.hardware.network import address_settings
     from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
@@ -224,7 +224,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
         scenario.simulation.time_step = 0.005  # s: the twin must keep up with real time
     try:
         address_settings(url)
-        note(f"the cell of the {scenario.object.called} comes up at {url} …")
+        note(f"starting the cell with the {scenario.object.called} at {url} …")
         last = run_twin(scenario, url, lambda report: note(report_words(report)))
     except ValueError as error:
         raise BadInput(str(error)) from error

@@ -1,9 +1,9 @@
-"""What slipmap and engines find, against truths that are known, many times over.
+"""Commands that test slipmap and physics engines many times against known truths.
 
-`slipmap explore-study` explores objects, `slipmap calibrate` counts how often intervals hold the truth,
-`slipmap blind-test` hides effects in simulated datasets, diagnoses them all, and counts what was found,
-`slipmap campaign` repeats the paper's experiments beside the paper's own numbers, and `slipmap audit` says
-where physics engines leave Coulomb's law of friction, and by how many millimetres.
+`slipmap explore-study` explores objects; `slipmap calibrate` counts how often intervals contain the truth;
+`slipmap blind-test` hides effects in simulated datasets, diagnoses them and counts what was found; `slipmap
+campaign` repeats the paper's experiments and compares with its numbers; `slipmap audit` measures how far
+physics engines depart from Coulomb's law of friction, in millimetres.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 @click.command("explore-study")
 @options.objects_option("--object", about="Object to explore")
-@options.count_option("--runs", most=1000, default=10, about="Runs of each object, with seeds from SEED on.")
+@options.count_option("--runs", most=1000, default=10, about="Runs of each object, with seeds from SEED up.")
 @options.explorations_option
-@options.count_option("--checks", most=100, default=10, about="Random pushes after these, to judge with.")
+@options.count_option("--checks", most=100, default=10, about="Random pushes afterwards, to test with.")
 @options.results_option("folder", default="explore-study")
 @options.seed_option
 @options.json_option
@@ -58,9 +58,9 @@ def explore_study(
 ) -> None:
     """Explore objects several times and judge the predictions.
 
-    Says how well each object's further pushes were predicted. Each run leaves a JSON file in DIR, and its
-    pushes as a dataset. What is there already is not run again, so a study that was stopped goes on. A run
-    of 15 pushes takes two to three minutes.
+    Reports how well further pushes of each object were predicted. Each run writes a JSON file and its pushes
+    as a dataset to DIR. Runs already there are not repeated, so a stopped study continues. A run of 15 pushes
+    takes two to three minutes.
     """
     from slipmap.diagrams.loops.exploration_run import ExplorationStopped
     from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
@@ -76,15 +76,15 @@ def explore_study(
                 rows[name].append(_row(folder, name, number, pushes, checks))
             except (ExplorationStopped, KeyboardInterrupt) as error:
                 raise Stopped(
-                    f"stopped at {name}, seed {number}, of which nothing is kept. The runs before are in"
-                    f" {folder}; called again, the study goes on where it was."
+                    f"stopped at {name}, seed {number}, of which nothing is kept. The earlier runs are in"
+                    f" {folder}; run the same command again to continue the study."
                 ) from error
     _show_errors(rows)
     write_json(json_file, rows)
 
 
 def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[str, Any]:
-    """Result of one run, from its file or run now.
+    """Result of one run, from its file or made now.
 
     Raises:
         ExplorationStopped: Ctrl-C; nothing of this run is kept.
@@ -115,15 +115,15 @@ def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[s
 
 
 def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
-    """What an earlier study left, if it asked for the same."""
+    """A run of an earlier study, if that had the same options."""
     try:
         row = dict(json.loads(path.read_text(encoding="utf-8")))
         asked = row["pushes"], row["checks"]
     except (ValueError, KeyError, TypeError) as error:
-        raise BadInput(f"{path}: is no run of a study; move it away") from error
+        raise BadInput(f"{path}: is not a run of a study; move it away") from error
     if asked != (pushes, checks):
         raise BadInput(
-            f"{path}: is a run of {asked[0]} pushes and {asked[1]} checks, this study asks for {pushes} and"
+            f"{path}: is a run of {asked[0]} pushes and {asked[1]} checks, but this study has {pushes} and"
             f" {checks}; name another folder with -o"
         )
     return row
@@ -162,8 +162,9 @@ def _show_errors(rows: dict[str, list[dict[str, Any]]]) -> None:
         cells.append([name, str(len(good)), str(failed), *means, str(count)])
         inside += count
     table(
-        "Final error (ADD) on further pushes, mm",
-        ["object", "runs", "failed", "belief", "uniform", "centre of mass off", "inside 90 %"],
+        "Error at the end of further pushes (ADD: mean distance between predicted and measured cells) and of"
+        " the centre of mass, mm; runs with the centre of mass inside its 90 % region",
+        ["object", "runs", "failed", "belief", "uniform", "centre of mass", "inside 90 %"],
         cells,
         numbers=(1, 2, 3, 4, 5, 6),
     )
@@ -171,12 +172,12 @@ def _show_errors(rows: dict[str, list[dict[str, Any]]]) -> None:
 
 
 _TELLS_NOTHING = 0.3
-"""Width of the 95 % range of a share that does not tell right intervals from wrong ones."""
+"""Width of a share's 95 % range that is too wide to distinguish right intervals from wrong ones."""
 
 
 @click.command()
 @options.count_option(
-    "--objects", most=10_000, default=40, about="Objects to simulate; the more, the sharper the answer."
+    "--objects", most=10_000, default=40, about="Objects to simulate; more objects give a sharper answer."
 )
 @options.seed_option
 @options.picture_option("-o", "--output", about="Picture of the reliability curves (.png, .pdf or .svg).")
@@ -184,9 +185,9 @@ _TELLS_NOTHING = 0.3
 def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
     """Check that 90 % intervals hold the truth 90 % of the time.
 
-    Draws objects of five kinds at random, pushes them in simulation, identifies each, and counts how
-    often the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper
-    and Pearson) says how well so many objects determine the true share. Takes several seconds an object.
+    Draws random objects of five kinds, pushes them in simulation, identifies each, and counts how often the
+    truth lies inside the belief's 90 % interval. The range beside each share (95 %, Clopper and Pearson)
+    shows how well so many objects determine it. Takes several seconds per object.
     """
     with Progress() as progress:
         prepare_kernels()
@@ -202,7 +203,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
             write_figures(output, [calibration_figure(result)])
         write_json(json_file, {**numbers, "level": LEVEL, "coverage": rows})
     table(
-        f"Truths inside the {LEVEL:.0%} interval, {result.objects} objects in"
+        f"True values inside the {LEVEL:.0%} interval; objects: {result.objects}, in"
         f" {result.seconds:.0f} s",
         ["quantity", "inside", "of", "share", "95 % range", "verdict"],
         [
@@ -224,7 +225,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
 
 def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
-    """Truths inside, with the 95 % range of their share and what it says of the intervals."""
+    """Counts of true values inside, with the 95 % range of their share and a verdict on the intervals."""
     from slipmap.diagrams.application.campaigns.trials import exact_range
     from slipmap.diagrams.application.studies.calibration import LEVEL
 
@@ -232,7 +233,7 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
     for name, share in result.coverage.items():
         count = len(result.ranks[name])
         inside = round(share * count)
-        # Several pushes of one object are one story: count no more independent draws than objects.
+        # Pushes of one object are not independent: count no more draws than objects.
         draws = min(count, result.objects)
         low, high = exact_range(share * draws, draws)
         verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
@@ -248,20 +249,20 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
 @click.command("blind-test")
 @options.seed_option
 @options.count_option(
-    "--count", most=10_000, default=20, metavar="M", about="Datasets, one for each seed from SEED on."
+    "--count", most=10_000, default=20, metavar="M", about="Datasets, one for each seed from SEED up."
 )
-@options.results_option(default="blind-test", about="Folder of datasets, diagnoses and score.")
+@options.results_option(default="blind-test", about="Folder for datasets, diagnoses and score.")
 @options.count_option(
     "--jobs", most=64, default=1, metavar="J",
-    about="Datasets at the same time, each in a process of its own.",
+    about="Datasets to process in parallel, each in its own process.",
 )  # fmt: skip
 def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     """Hide effects in simulated pushes, and see what is found.
 
     An independent simulator, which shares no physics with the model, draws an object, 24 pushes and a hidden
-    effect, or none, from each seed. Every dataset is diagnosed and compared with its truth. What is in DIR
-    already is not done again, so a run that was stopped goes on; only failures are tried anew. Writes
-    score.md and score.json. A dataset takes about half a minute to simulate.
+    effect, or none, from each seed. Every dataset is diagnosed and compared with its truth. Results already
+    in DIR are kept, so a stopped run continues; only failures are tried again. Writes score.md and
+    score.json. A dataset takes about half a minute to simulate.
     """
     make_folder(output)
     lock_folder(output)
@@ -269,7 +270,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     cases = [_Case(output, number) for number in range(seed, seed + count)]
     waiting = [case for case in cases if not case.result.exists()]
     if len(waiting) < count:
-        note(f"{count - len(waiting)} of {count} datasets have their diagnosis in {output} already")
+        note(f"{count - len(waiting)} of {count} datasets are already diagnosed in {output}")
     if waiting:
         at_once = f", {jobs} at a time" if jobs > 1 and len(waiting) > 1 else ""
         what = f"{len(waiting)} dataset{'s' * (len(waiting) > 1)}"
@@ -288,7 +289,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
 
 
 class _Case(NamedTuple):
-    """A dataset, by its seed, and where it and its diagnosis lie."""
+    """A dataset, by its seed, and the paths of its files."""
 
     folder: Path
     seed: int
@@ -307,11 +308,11 @@ class _Case(NamedTuple):
 
 
 def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
-    """Each dataset as it is done, and its outcome."""
+    """Each dataset and its outcome, as it is done."""
     if jobs == 1 or not cases:
         yield from ((case, _run(case)) for case in cases)
         return
-    # Forked processes would share the threads of numba and BLAS with this one; Ctrl-C is for this one alone.
+    # Forked processes would share the threads of numba and BLAS; only this process handles Ctrl-C.
     pool = ProcessPoolExecutor(
         min(jobs, len(cases)),
         multiprocessing.get_context("spawn"),
@@ -332,7 +333,7 @@ def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
 
 
 def _stop_workers(folder: Path) -> None:
-    """End the processes at work, and remove what they were writing."""
+    """End the working processes, and remove what they were writing."""
     workers = multiprocessing.active_children()
     for worker in workers:
         worker.terminate()
@@ -343,19 +344,19 @@ def _stop_workers(folder: Path) -> None:
 
 
 def _run(case: _Case) -> str:
-    """Generate a dataset unless it is there, diagnose it, write the result, and tell it in a few words."""
+    """Generate a dataset unless it exists, diagnose it, write the result, and return it in a few words."""
     from slipmap.diagrams.application.studies.blind import generator, scoring
     from slipmap.models.inference.diagnosis.procedure import diagnose
     from slipmap.models.measurements import read_dataset
 
     dataset = case.folder / case.name
     try:
-        # The truth is written last: where it is, the dataset is whole.
+        # The truth is written last: where it exists, the dataset is complete.
         file = generator.truth_file(dataset)
         truth = generator.Truth.read(file) if file.exists() else generator.generate(case.seed, dataset)
         pushes = read_dataset(dataset, tell=lambda warning: None)  # what is hidden may look wrong
         result: dict[str, Any] = diagnose(pushes, seed=case.seed).to_json()
-        # A result that cannot be scored is a failure of its dataset, not of all at the end.
+        # A result that cannot be scored is a failure of this dataset, not of the whole run at the end.
         scoring.score([(truth, result)])
         write_json(case.result, result)
     except Exception as error:
@@ -367,7 +368,7 @@ def _run(case: _Case) -> str:
 
 
 def _record_failure(case: _Case, error: BaseException) -> str:
-    """Write an error down; returns it in a line."""
+    """Write an error to its file; returns it in one line."""
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"
     write_json(case.failure, {"error": said, "traceback": "".join(traceback.format_exception(error))})
     return said
@@ -395,22 +396,22 @@ _SHOWN_FAILURES = 5
 @options.objects_option("--objects", about="Object", default="all six; fig7: hammer")
 @click.option(
     "--methods", "methods", multiple=True, metavar="NAME",
-    help="Method of fig6 and fig7, or what is hidden in adapt; may be given several times. [default: all]",
+    help="Method of fig6 and fig7, or what is hidden in adapt; may be repeated. [default: all]",
 )  # fmt: skip
 @options.count_option(
     "--trials", most=100_000,
-    about="Trials of each object, with seeds from SEED on. [default: as the experiment needs]",
+    about="Trials of each object, with seeds from SEED up. [default: as the experiment needs]",
 )  # fmt: skip
 @click.option(
     "--truth", type=click.Choice(["plant", "bullet"]), default="plant", show_default=True,
-    help="What plays the real world: Drake's MultibodyPlant, or Bullet (extra `bench`).",
+    help="Simulator that plays the real world: Drake's MultibodyPlant, or Bullet (extra `bench`).",
 )  # fmt: skip
 @click.option(
     "--backend", type=click.Choice(["processes", "dask"]), default="processes", show_default=True,
     help="Where trials run: on this machine, or on a Dask cluster (extra `cluster`).",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Dask's scheduler, such as tcp://10.0.0.1:8786.")
-@options.count_option("--workers", most=1024, about="Processes on this machine. [default: one a core]")
+@options.count_option("--workers", most=1024, about="Processes on this machine. [default: one per core]")
 @options.results_option("folder", default="campaign")
 @options.seed_option
 @options.json_option
@@ -429,9 +430,9 @@ def campaign(
 ) -> None:
     """Repeat an experiment of the paper, or one beyond it.
 
-    Shows the numbers beside the paper's. Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there
-    already is not run again, so a campaign that was stopped goes on; what failed is tried again. The same
-    seeds give the same table, whatever runs the trials.
+    Shows the results beside the paper's numbers. Each trial writes a file to DIR/EXPERIMENT-TRUTH. Trials
+    already there are not repeated, so a stopped campaign continues; failed trials are tried again. The same
+    seeds give the same table on any backend.
     """
     from joblib import cpu_count
 
@@ -446,7 +447,7 @@ def campaign(
     try:
         specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
         if truth == "bullet" and find_spec("pybullet") is None:
-            raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
+            raise BadInput("Bullet is not installed; install it with `pip install 'slipmap[bench]'`")
         with Progress() as progress:
             outcomes = run_trials(
                 specs,
@@ -473,7 +474,7 @@ def campaign(
         write_json(folder / f"{experiment}-{truth}.json", document)
         write_json(json_file, document)
     _show_summary(summary, outcomes)
-    note(f"trials are in {files}, the picture is {picture}")
+    note(f"trials: {files}\npicture: {picture}")
 
 
 def _checked(object_names: Sequence[str]) -> tuple[str, ...]:
@@ -488,19 +489,19 @@ def _checked(object_names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpec]:
-    """The trials of some methods, all where none is named."""
+    """The trials of some methods; all where none is named."""
     if not methods:
         return specs
     key = "hidden" if "hidden" in specs[0].parameters else "method"
     known = list(dict.fromkeys(spec.parameters[key] for spec in specs if key in spec.parameters))
     if not known:
         raise BadInput(
-            "--methods chooses among the methods of fig6 and fig7, and what is hidden in adapt; this"
-            " experiment has none"
+            "--methods selects methods of fig6 and fig7, or what is hidden in adapt; this experiment has"
+            " neither"
         )
     for method in methods:
         if method not in known:
-            raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
+            raise BadInput(f"method {method!r} is unknown; choose one of {', '.join(known)}")
     return [spec for spec in specs if spec.parameters[key] in methods]
 
 
@@ -508,10 +509,10 @@ def _show_summary(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
     for shown in summary.tables:
         words = shown.columns.index("") if "" in shown.columns[1:] else 0
         table(shown.title, shown.columns, shown.rows, numbers=range(words + 1, len(shown.columns)))
-    paragraph("Intervals hold 95 %. " + summary.remark)
+    paragraph("Intervals are 95 % intervals. " + summary.remark)
     failed = [outcome for outcome in outcomes if outcome.failure is not None]
     if failed:
-        note(f"{len(failed)} of {len(outcomes)} trials failed; the table leaves them out:")
+        note(f"{len(failed)} of {len(outcomes)} trials failed and are left out of the tables:")
         for outcome in failed[:_SHOWN_FAILURES]:
             note(f"  {outcome.spec.name}: {outcome.failure}")
         if len(failed) > _SHOWN_FAILURES:
@@ -523,12 +524,12 @@ def _show_summary(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
 @options.report_option("audit.html")
 @options.json_option
 def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> None:
-    """Say how far a physics engine is from Coulomb's law.
+    """Measure how far a physics engine is from Coulomb's law.
 
-    ENGINE is mujoco, bullet or drake, with settings after a colon, as mujoco:elliptic,impratio=100,
-    bullet:pyramid, drake:sap or drake:hydroelastic; or a class in a file of your own, as
-    my_engine.py:Engine (docs/audit.md says what it needs). Probes name what is wrong, each with a size and
-    an uncertainty; 24 pushes of an object with known maps say what it costs, in millimetres.
+    ENGINE is mujoco, bullet or drake, with settings after a colon, such as mujoco:elliptic,impratio=100,
+    bullet:pyramid, drake:sap or drake:hydroelastic; or a class in a file of your own, such as
+    my_engine.py:Engine (docs/audit.md says what it needs). Probes name the defects, each with a size and an
+    uncertainty; 24 pushes of an object with known maps measure their cost in millimetres.
     """
     from slipmap.diagrams.application.audit import engines as known
 

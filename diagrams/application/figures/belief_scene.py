@@ -25,11 +25,11 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MOST = 6
-"""Hypotheses beside the mean; the others are in the mean."""
+"""Most hypotheses shown beside the mean, which contains all of them."""
 
 _NAMES = (
-    ("mass", "of a cell, g"),
-    ("friction", "coefficient of a cell"),
+    ("mass", "per cell, g"),
+    ("friction", "coefficient"),
     ("mass × friction", "force to slide a cell, mN"),
 )
 _LONGEST_NAME = 36
@@ -42,10 +42,10 @@ _CAMERA = "/Cameras/default/rotated/<object>"
 
 @styled
 def title(belief: Belief, size: FloatArray) -> bytes:
-    """What is shown, and how to read it.
+    """The title panel: what is shown, and how to read it.
 
     Args:
-        size: (2,) of the panel, of which its proportion matters.
+        size: (2,) size of the panel, which sets its proportions.
     """
     figure = _paper(size, 12.0)
     name = (
@@ -53,8 +53,8 @@ def title(belief: Belief, size: FloatArray) -> bytes:
     )
     _write(figure, (0.01, 0.82), f"{name}: belief {rests_on(belief)}", 32, weight="bold")
     lines = (
-        "Height and colour of a prism: the value of its cell. Red pin: centre of mass.",
-        f"First the mean of all {len(belief)} hypotheses, then the most probable ones one by one.",
+        "Height and colour of a prism: the value in its cell. Red pin: centre of mass.",
+        f"First the mean of all {len(belief)} hypotheses, then the most probable hypotheses one by one.",
     )
     _write(figure, (0.01, 0.34), "\n".join(lines), 18.5, linespacing=1.5)
     return _png(figure)
@@ -80,7 +80,7 @@ def scale(what: Shown, which: int, size: FloatArray) -> bytes:
     name, unit = _NAMES[which]
     _write(figure, (0.1, 0.86), name, 17, weight="bold")
     _write(figure, (0.1, 0.66), unit, 14)
-    # With room at both ends for half a number, and on the right for the arrow.
+    # Leaves room for half a number at both ends, and for the arrow on the right.
     bar = figure.add_axes((0.1, 0.34, 0.78, 0.17))
     colors = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
     figure.colorbar(
@@ -91,7 +91,7 @@ def scale(what: Shown, which: int, size: FloatArray) -> bytes:
 
 
 def _paper(size: FloatArray, inches: float) -> Figure:
-    """A figure of a panel's proportions, so many inches wide."""
+    """A figure with a panel's proportions and a width in inches."""
     return Figure(figsize=(inches, inches * float(size[1] / size[0])), dpi=200)
 
 
@@ -106,9 +106,9 @@ def _png(figure: Figure) -> bytes:
 
 
 class _Window(ZMQWebSocketBridge):
-    """What a `meshcat.Visualizer` draws into: the scene as meshcat's server keeps it, but kept here.
+    """Target of a `meshcat.Visualizer`: keeps the scene in this process, as meshcat's server would.
 
-    The usual window starts a server process and opens ports, which a scene that becomes a page needs not.
+    The usual window starts a server process and opens ports, which a static page does not need.
     """
 
     def __init__(self) -> None:
@@ -123,7 +123,7 @@ class _Window(ZMQWebSocketBridge):
         return self._answer.decode("utf-8")
 
     def send(self, message: Any) -> None:
-        """Do a command of a visualizer; called by the server, with bytes, it is an answer."""
+        """Execute a visualizer's command; bytes come from the server and are its answer."""
         if isinstance(message, bytes):
             self._answer = message
             return
@@ -138,12 +138,12 @@ class _Window(ZMQWebSocketBridge):
 
 
 def belief_scene(belief: Belief) -> meshcat.Visualizer:
-    """The maps of a belief, on a grid: along one side `MAPS`, along the other the mean and then hypotheses by
-    falling probability, `MOST` at most, so that the whole suits a screen.
+    """The maps of a belief in a grid: `MAPS` along one side; the mean and then up to `MOST` hypotheses by
+    decreasing probability along the other. The layout fits a screen.
 
-    A prism stands on each cell, whose height and colour are the cell's value, both from 0 on one scale a map.
-    A low wall is the object's outline, a pin the centre of mass of the hypothesis. In the scene tree these
-    are `<map>/<hypothesis>/cells`, `outline` and `center of mass`. Lengths but for the heights are in m.
+    The height and colour of the prism on each cell are the cell's value, from 0 on one scale per map. A low
+    wall is the object's outline, a pin the centre of mass of the hypothesis. In the scene tree these are
+    `<map>/<hypothesis>/cells`, `outline` and `center of mass`. Lengths other than heights are in m.
 
     Returns:
         A visualizer without a server: `static_html()` gives a page that needs no network.
@@ -174,7 +174,7 @@ def belief_scene(belief: Belief) -> meshcat.Visualizer:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where everything lies on the ground; the origin is in the middle."""
+    """Layout on the ground; the origin is in the middle."""
 
     maps_across: bool  # whether maps are side by side, rather than hypotheses
     counts: tuple[int, int]  # of maps and of hypotheses
@@ -202,7 +202,7 @@ class _Layout:
 
     @property
     def _margin(self) -> FloatArray:
-        """(2,) room on the left and in front."""
+        """(2,) free space on the left and in front."""
         return np.array(
             [self.label[0], self.scale[1]] if self.maps_across else [self.scale[0], self.label[1]]
         )
@@ -224,23 +224,23 @@ class _Layout:
 
     @property
     def title_place(self) -> FloatArray:
-        """(3,) of its middle."""
+        """(3,) centre of the title."""
         return np.array([0.0, 0.5 * (self.whole[1] - self.title[1]), 0.0])
 
     @property
     def proportion(self) -> float:
-        """Of what the camera sees, width to height."""
+        """Width to height of what the camera sees."""
         return float(self.whole[0] / (self.whole[1] * np.sin(_ELEVATION)))
 
     def middle(self, which: int, hypothesis: int) -> FloatArray:
-        """(3,) of an object."""
+        """(3,) centre of an object."""
         column, row = (which, hypothesis) if self.maps_across else (hypothesis, which)
         corner = self._margin - 0.5 * self.whole
         back = corner[1] + self._objects[1]
         return np.array([corner[0] + (column + 0.5) * self.pitch[0], back - (row + 0.5) * self.pitch[1], 0.0])
 
     def beside(self, which: int | None, hypothesis: int | None) -> FloatArray:
-        """(3,) of the middle of a scale or a label: left of its row, or in front of its column."""
+        """(3,) centre of a scale or a label: left of its row, or in front of its column."""
         at = self.middle(which or 0, hypothesis or 0)
         if (which is not None) == self.maps_across:
             at[1] = 0.5 * (self._margin - self.whole)[1]
@@ -250,7 +250,7 @@ class _Layout:
 
 
 def _furnish(scene: meshcat.Visualizer, whole: FloatArray) -> None:
-    """A plain background, and a camera that sees the whole (2,) from the front."""
+    """Set a plain background, and a camera that sees the whole layout (2,) from the front."""
     for helper in ("/Grid", "/Axes"):
         scene[helper].set_property("visible", False)
     for edge in ("top_color", "bottom_color"):
@@ -265,7 +265,7 @@ def _furnish(scene: meshcat.Visualizer, whole: FloatArray) -> None:
     # The camera's own frame has y upwards.
     scene[_CAMERA].set_property("fov", _OPENING)
     scene[_CAMERA].set_property("position", [0.0, distance * float(up), distance * float(forward)])
-    # What is drawn lies between these; meshcat's own 0.01 m and 100 m are too far apart for that distance.
+    # Everything drawn lies between these; meshcat's 0.01 m and 100 m are too far apart at that distance.
     scene[_CAMERA].set_property("near", 0.02 * distance)
     scene[_CAMERA].set_property("far", 5.0 * distance)
 
@@ -273,8 +273,8 @@ def _furnish(scene: meshcat.Visualizer, whole: FloatArray) -> None:
 def _add_relief(
     place: meshcat.Visualizer, belief: Belief, what: Shown, which: int, hypothesis: int, relief: float
 ) -> None:
-    """Cells, outline and centre of mass of hypothesis 0 (the mean) or of one of `what.hypotheses`; the end of
-    the colour scale is `relief` metres high."""
+    """Add cells, outline and centre of mass of hypothesis 0 (the mean) or of one of `what.hypotheses`; the
+    top of the colour scale is `relief` metres high."""
     grid = belief.grid
     heights = np.maximum(relief * what.values[which, hypothesis] / what.tops[which], 1e-3 * relief)
     cells = _prisms(grid, heights, what.colors(which, hypothesis))
@@ -292,7 +292,7 @@ def _add_relief(
 
 
 def _prisms(grid: CellGrid, heights: FloatArray, colors: FloatArray) -> g.TriangularMeshGeometry:
-    """A prism on each cell, as high (n,) and of that colour (n, 3) on top; its sides are darker."""
+    """Prisms on the cells with heights (n,) and colours (n, 3) on top; their sides are darker."""
     half = 0.46 * grid.width
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     ring = grid.centers[:, None] + corners
@@ -316,9 +316,9 @@ def _rim(grid: CellGrid, height: float) -> g.TriangularMeshGeometry:
 
 
 def _add_panel(place: meshcat.Visualizer, picture: bytes, size: FloatArray, at: FloatArray) -> None:
-    """A picture (PNG) on the ground, its middle at a point (3,)."""
+    """Add a picture (PNG) on the ground, centred at a point (3,)."""
     texture = g.ImageTexture(image=g.PngImage(picture), anisotropy=8)
-    # Seen from the front alone: on a box as thin as this the picture of its underside would shine through.
+    # Front faces only: on such a thin box, the picture on the underside would shine through.
     surface = g.MeshBasicMaterial(map=texture, side=0, transparent=True)
     place.set_object(g.Box([float(size[0]), float(size[1]), 1e-4 * float(size[1])]), surface)
     place.set_transform(_shifted(at))

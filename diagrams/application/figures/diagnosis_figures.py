@@ -1,4 +1,4 @@
-"""What a diagnosis rests on, gains of all candidates and locked pushes, and the push to make next."""
+"""Figures of a diagnosis: gains of all candidates, errors of locked pushes, and the next push."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -32,10 +32,10 @@ _LEGEND_COLUMNS = 4
 
 @styled
 def gain_figure(diagnosis: Diagnosis) -> Figure:
-    """Bars for every candidate: gain to first order, gain when refitted, and what another still gains.
+    """Bars for every candidate: first-order gain, gain when refitted, and what another candidate still gains.
 
-    What another still gains is to first order too, and drawn on the scale of the first panel: short beside
-    the candidate's own gain, it says that little is left. Refitted gains are of another size.
+    What another still gains is of first order too and drawn on the scale of the first panel: if it is short
+    beside the candidate's own gain, little is left. Refitted gains have their own scale.
 
     Example:
         >>> import slipmap
@@ -76,7 +76,7 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         for colour, label in (
             (OTHER, "not ruled out"),
             (_PALE, "ruled out, or no more than chance"),
-            (_ALARM, "another gains on top, so it is ruled out"),
+            (_ALARM, "ruled out: another gains on top"),
         )
         if any(colour in colours for _, _, colours, _ in shown)
     ]
@@ -93,7 +93,7 @@ def _longest(values: Sequence[float | None]) -> float:
 
 
 def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str], longest: float) -> None:
-    """Bars from zero on a scale that `longest` nearly fills; a negative gain has none, only its number."""
+    """Draw bars from zero; `longest` nearly fills the axes, negative gains are numbers only."""
     rows = np.arange(len(values))
     known = np.array([np.nan if value is None else value for value in values])
     drawn = np.clip(np.nan_to_num(known), 0.0, None)
@@ -111,7 +111,7 @@ def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str], lo
 
 @styled
 def locked_figure(diagnosis: Diagnosis) -> Figure:
-    """Error over the course of each locked push, without and with the answer.
+    """Error along the path of each locked push, without and with the answer.
 
     Raises:
         ValueError: no push was locked away.
@@ -136,7 +136,7 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
-    axes.set_xlabel("ADD over the course, mm")
+    axes.set_xlabel("error along the path (ADD), mm")
     axes.set_yticks(rows, names)
     axes.set_ylim(-0.7, len(order) - 0.3)
     light_grid(axes, "x")
@@ -150,7 +150,7 @@ def _dots(axes: Axes, values: FloatArray, rows: FloatArray, colour: str, label: 
 
 @styled
 def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: PushDataset) -> Figure:
-    """Object, path of the finger, and the ends that the rivals predict; beside it, when their courses part.
+    """Object, finger path and the ends that the rivals predict; beside it, how they diverge over time.
 
     Args:
         told: result of `slipmap.planners.telling_push.next_push`.
@@ -183,7 +183,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     axes.tick_params(labelsize=8)
     _table_edge(axes, dataset)
     scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))
-    handles = [Line2D([], [], color=FINGER, marker="o", label="finger, filled where it stops")]
+    handles = [Line2D([], [], color=FINGER, marker="o", label="finger (filled: end)")]
     for rival, colour in zip(rivals, _COLOURS, strict=False):
         handles.append(Line2D([], [], color=colour, label=rival.name))
     figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), _LEGEND_COLUMNS))
@@ -196,7 +196,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
             apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
             upper.plot(times, 1e3 * apart, color=colour)
             lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
-        upper.set(ylabel=f"apart from\n{rivals[0].name.split(' (')[0]}, mm", ylim=(0, None))
+        upper.set(ylabel=f"distance from\n{rivals[0].name.split(' (')[0]}, mm", ylim=(0, None))
         upper.tick_params(labelbottom=False)
         lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
         upper.yaxis.label.set_fontsize(8)

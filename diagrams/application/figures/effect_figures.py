@@ -1,4 +1,4 @@
-"""What an effect does to one push of one object, with its formula."""
+"""Figure of what an effect does to one push of one object, with its formula."""
 
 import textwrap
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider, Smoothing
 
 _SHARES = (0.33, 0.66, 1.0)
-"""Of the amplitude at which the effect shows well."""
+"""Shares of the amplitude at which the effect is clearly visible."""
 
 _SHOWS_WELL = 0.02
-"""m between the object with and without the effect, if its bounds allow as much."""
+"""Target distance between the object with and without the effect, m, if its bounds allow it."""
 
 _MASS, _FRICTION, _FINGER_FRICTION, _RADIUS = 0.8, 0.25, 0.4, 0.008
 _SPEED, _RAMP, _WAY, _OFF_CENTRE, _STEP, _REST = 0.15, 0.3, 0.12, 0.008, 1e-3, 0.2
@@ -32,13 +32,13 @@ _TINTS = (0.35, 0.6, 1.0)
 
 _SIZE_LINE, _MEANING, _FORMULA = 0.18, 0.28, 0.42  # inches
 _FARTHEST = 0.4
-"""m from the middle of the push up to which places of an effect are drawn; farther ones make it small."""
+"""Farthest distance from the push at which places of an effect are drawn, m; farther ones would shrink it."""
 
 
 @styled
 def effect_figure(effect: Effect) -> Figure:
-    """One object pushed off-centre, without the effect and with it at three sizes; below, what full size is,
-    and the formulas. Crosses are places that the effect has, on the table or on the object at full size.
+    """One object pushed off-centre, without the effect and with it at three sizes. The full size and the
+    formulas are below. Crosses are places of the effect, on the table or on the object at full size.
 
     Raises:
         EffectError: the formula cannot be used.
@@ -82,7 +82,7 @@ def effect_figure(effect: Effect) -> Figure:
 
 
 def _numbers(effect: Effect, text: Written, values: FloatArray) -> str:
-    """Parameters (P,) in words, by the names that they have in the formulas."""
+    """Parameters (P,) in words, with their names in the formulas."""
     return ", ".join(
         f"{text.symbols[q.name]} {value + 0.0:.3g}{unit_text(q.unit).replace(' 1/', '/')}"
         for q, value in zip(effect.parameters, values, strict=True)
@@ -90,10 +90,10 @@ def _numbers(effect: Effect, text: Written, values: FloatArray) -> str:
 
 
 def _places(effect: Effect, values: FloatArray, pose: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Names and places (2,) on the table, m, that parameters (P,) of an effect give.
+    """Names and places (2,) on the table, m, given by the parameters (P,) of an effect.
 
-    A place is a pair of lengths, …x and …y, that only shape the effect. It moves with the object, which is at
-    `pose` (3,), where its meaning says that it is in the object frame.
+    A place is a pair of lengths, …x and …y, that only shape the effect. If its meaning mentions the object
+    frame, it moves with the object, which is at `pose` (3,).
     """
     shaping = {
         q.name: (q, value) for q, value in zip(effect.parameters, values, strict=True) if q.null is None
@@ -129,7 +129,7 @@ def _with(maps: Maps, rows: FloatArray) -> Maps:
 
 
 def _push() -> Push:
-    """Straight along the object's x from a gentle start to an abrupt stop, and a rest in which the
+    """A straight push along the object's x from a gentle start to an abrupt stop, then a pause in which the
     object slides on."""
     moving, rest = round((_WAY / _SPEED + _RAMP / 2) / _STEP), round(_REST / _STEP)
     time = _STEP * np.minimum(np.arange(moving + rest + 1), moving)
@@ -142,8 +142,8 @@ def _push() -> Push:
 
 
 def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -> FloatArray:
-    """(P,) parameters at which the effect shows well: of all places to start a search from, the one where it
-    shows best, and the smallest power of two of its scale that suffices."""
+    """(P,) parameters at which the effect is clearly visible: the start value of a search at which it shows
+    best, at the smallest power of two of its scale that suffices."""
     weight = _MASS * 9.81
     scene = Scene((0.0, 0.0), 0.12, 0.072, _SPEED, 20, weight)
     low, high = bounds([effect])
@@ -160,12 +160,12 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
         change = np.abs(np.hypot(*np.moveaxis(out.forces, -1, 0)).mean(axis=1) / before - 1)
         if effect.only_force:
             change = np.hypot(*np.moveaxis(out.forces - plain.forces, -1, 0)).mean(axis=1) / before
-        # An effect that has reached its limit shows no better when doubled.
+        # Doubling an effect at its limit does not make it more visible.
         if gap.max() > 2e-3 and gap.max() < 1.2 * reached:
             break
         reached = float(gap.max())
         best = rows[int(np.argmax(gap))]
-        # Some effects show in the force alone; it may double at most.
+        # Some effects show in the force only; it may at most double.
         if gap.max() >= _SHOWS_WELL or change.max() > 0.5:
             break
     return best
@@ -211,12 +211,12 @@ def _distances(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rol
         axes.plot(
             times, 1e3 * add(poses, plain.poses[0], grid.centers), color=BELIEF, alpha=tint, linewidth=1.2
         )
-    axes.set(ylabel="cells apart, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
+    axes.set(ylabel="distance, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
 
 
 def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts, *, by_component: bool) -> None:
-    """Force of the finger, its size or both components, mean over 20 ms so that the first touch does not hide
-    the rest."""
+    """Plot the finger's force, magnitude or both components, averaged over 20 ms so that the first touch does
+    not hide the rest."""
 
     def smooth(forces: FloatArray) -> FloatArray:
         rows = forces.T if by_component else np.hypot(*forces.T)[None]
@@ -239,12 +239,12 @@ def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts, *, by_compon
 
 
 def _heights(text: Written) -> list[float]:
-    """Inches that each formula needs, with the line before it that says what it is."""
+    """Height in inches of each formula with its heading."""
     return [_FORMULA + (_MEANING if formula.meaning else 0.0) for formula in text.formulas]
 
 
 def _formulas(figure: Figure, text: Written, top: float, height: float) -> None:
-    """From `top` inches above the lower edge of the figure, which is `height` inches high, downwards."""
+    """Write the formulas downwards from `top` inches above the lower edge of a figure of `height` inches."""
     for formula, needed in zip(text.formulas, _heights(text), strict=True):
         if formula.meaning:
             meaning = f"{formula.meaning[0].upper()}{formula.meaning[1:]}:"

@@ -29,11 +29,11 @@ from slipmap.models.physics.rollout import Maps
 _LEFT, _RIGHT, _TOP, _BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
 _GAP, _WIDE_GAP = 0.12, 0.34
 _LARGEST_PANEL = (1.7, 1.75)
-_NARROWEST_COLUMN = 1.0  # inches; titles need them
+_NARROWEST_COLUMN = 1.0  # inches; the titles need as much
 _LOG_FROM = 6.0
-"""Ratio of the columns' totals from which colours are logarithmic: a linear scale would show one map only."""
+"""Ratio of the columns' totals from which colours are logarithmic; a linear scale would show one map only."""
 
-# How centres of mass and of friction are drawn, and the centres of mass of all hypotheses.
+# Styles of the centres of mass and of friction, and of the centres of mass of all hypotheses.
 _MARK = {"linestyle": "none", "markerfacecolor": "none"}
 _CROSS: dict[str, Any] = _MARK | {"marker": "x", "color": INK, "markersize": 6, "markeredgewidth": 1.4}
 _RING: dict[str, Any] = _MARK | {"marker": "o", "color": INK, "markersize": 7.5, "markeredgewidth": 1.2}
@@ -45,7 +45,7 @@ _SEAM = 2.0  # points
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One quantity: its name, its unit, its colours and the values (columns, n)."""
+    """One quantity: name, unit, colours and values (columns, n)."""
 
     name: str
     unit: str
@@ -54,7 +54,7 @@ class _Row:
 
     @property
     def norm(self) -> Normalize:
-        """One scale for all columns; a few of the largest values may lie beyond its end."""
+        """One scale for all columns; a few of the largest values may lie beyond it."""
         totals = self.values.sum(axis=1)
         if totals.max() > _LOG_FROM * totals.min() > 0:
             low, top = np.quantile(self.values, [0.02, SCALED_SHARE])
@@ -64,7 +64,7 @@ class _Row:
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """One model: its title, its maps (one) and whether a wide gap stands before it."""
+    """One model: title, maps (one), and whether a wide gap precedes it."""
 
     title: str
     maps: Maps
@@ -75,14 +75,14 @@ class _Column:
 def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 6) -> Figure:
     """Footprint, mass, friction and mass × friction of the most probable hypotheses and of their mean.
 
-    A cross marks the centre of mass, a ring the centre of friction (the mean of the cells' places weighted by
-    mass × friction). Dots in the first row are the centres of mass of all hypotheses.
+    A cross marks the centre of mass, a ring the centre of friction (the mean position of the cells weighted
+    by mass × friction). Dots in the first row are the centres of mass of all hypotheses.
 
-    Hypotheses are numbered by falling probability, as in `slipmap view`.
+    Hypotheses are numbered by decreasing probability, as in `slipmap view`.
 
     Args:
         belief: what to draw.
-        truth: true maps (one model), drawn in a column of their own where they are known.
+        truth: true maps (one model), drawn in their own column where known.
         hypotheses: how many to show, most probable first.
 
     Example:
@@ -96,17 +96,17 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
     mass = np.concatenate([column.maps.mass for column in columns])
     mu = np.concatenate([column.maps.mu for column in columns])
     in_grams = np.quantile(mass, 0.99) < 0.5
-    scaled, unit = (1e3 * mass, "g a cell") if in_grams else (mass, "kg a cell")
+    scaled, unit = (1e3 * mass, "g per cell") if in_grams else (mass, "kg per cell")
     rows = [
         _Row("mass", unit, MAP_COLORS[0], scaled),
         _Row("friction\ncoefficient", "", MAP_COLORS[1], mu),
-        _Row("mass × friction:\nforce to slide it", "N a cell", MAP_COLORS[2], mass * mu * belief.gravity),
+        _Row("mass × friction:\nforce to slide it", "N per cell", MAP_COLORS[2], mass * mu * belief.gravity),
     ]
     return _drawn(belief, columns, rows)
 
 
 def centers_of_friction(belief: Belief, maps: Maps) -> FloatArray:
-    """(K, 2) mean place of the cells of each model, weighted by mass × friction, object frame, m."""
+    """(K, 2) mean position of each model's cells weighted by mass × friction, object frame, m."""
     load = maps.mass * maps.mu
     return load @ belief.grid.centers / load.sum(axis=1, keepdims=True)
 
@@ -180,16 +180,16 @@ def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
     )
     squares.set_clip_path(style.outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
-    style.draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
+    style.draw_outline(axes, belief.grid)  # last, or the pale squares would cover it
     axes.plot(*belief.centers_of_mass.T, **_DOT)
-    # The ground is pale, and a seam around the marks would hide the dots.
+    # On this pale background, a seam around the marks would hide the dots.
     _marks(axes, belief, maps, seam=0.0)
 
 
 def _marks(
     axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True, seam: float = _SEAM
 ) -> None:
-    """Ring and cross, with a white seam (points) that lifts them off a coloured ground."""
+    """Draw ring and cross, with a white seam (points) that sets them off from the colours."""
     marks = []
     if friction:
         marks.append((centers_of_friction(belief, maps)[0], _RING))
@@ -219,7 +219,7 @@ def _legend(figure: Figure, belief: Belief) -> None:
         Line2D([], [], label="centres of mass of all hypotheses", **_DOT),
     ]
     figure.legend(handles=handles, loc="lower center", ncols=3, bbox_to_anchor=(0.5, 0.0))
-    title = f"{belief.dataset}: what {len(belief)} hypotheses say (each row has one colour scale)"
+    title = f"{belief.dataset}: belief with {len(belief)} hypotheses (one colour scale per row)"
     figure.text(
         0.5, 1 - 0.14 / figure.get_size_inches()[1], title, ha="center", va="top", fontsize=11, color=INK
     )

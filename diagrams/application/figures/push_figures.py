@@ -1,4 +1,4 @@
-"""Pushes as measured, before anything is learned and beside predictions; and how far off models are."""
+"""Figures of pushes: as measured, beside predictions, and the errors of models."""
 
 from __future__ import annotations
 
@@ -22,25 +22,27 @@ from slipmap.models.measurements.contact import CALIBRATION_ERROR, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MODEL_COLOURS = (BELIEF, OTHER)
-"""Of one model, or of two over the same pushes."""
+"""Colours of one model, or of two over the same pushes."""
 
 _PANELS_A_PAGE = 24
 _COLUMNS = 6
 _PANEL = 2.1  # inches
 _OUTLINES = (
-    "Outlines: grey at the start, thin halfway, strong at the end. Lines between: way of the cells' centroid"
+    "Outlines: grey at the start, thin halfway, thick at the end. Lines between them: path of the centroid"
 )
 
 _HEAD, _FOOT, _SIDE, _GAP, _TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
-_NARROWEST_PAGE = 8.4  # inches; heading and legend need them
+_NARROWEST_PAGE = 8.4  # inches; heading and legend need as much
 _NEAR = 1.2
-"""The finger's path is drawn as far as it lies within so many object sizes of the object's way."""
+"""Largest distance from the object's path at which the finger's path is drawn, in object sizes."""
 
-_MEANING_OF_ADD = "ADD: mean distance between the cells as predicted and as measured at the end of the push"
+_MEANING_OF_ADD = (
+    "ADD: mean distance between predicted and measured cells at the end; spread: of the hypotheses"
+)
 
 # Of the figure of errors.
 _WIDTH = 8.0  # inches
-_LEGEND_COLUMNS, _LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
+_LEGEND_COLUMNS, _LEGEND_ROW = 3, 0.2  # columns where one row is not enough; inches
 _LETTER = 0.07  # inches, of a push's name
 _MOST_NAMES = 40
 
@@ -51,7 +53,7 @@ class _Scene:
 
     push: Prediction  # measured and predicted poses
     start: FloatArray  # (3,) first measured pose
-    # sample at which the object has gone half of its way, or None where only the end was measured
+    # sample half-way along the object's path, or None where only the end was measured
     middle: int | None
     finger: FloatArray  # (k, 2) path of the finger near the object, m
     low: FloatArray  # (2,) lower corner of all this, m
@@ -60,7 +62,7 @@ class _Scene:
 
 @styled
 def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, title: str = "") -> list[Figure]:
-    """A panel for each push, `_PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
+    """A panel for each push, `_PANELS_A_PAGE` per figure; all panels of one figure have the same scale.
 
     Args:
         dataset: for the outline and the finger's path.
@@ -104,7 +106,7 @@ def _scene(push: Prediction, trial: Trial, dataset: PushDataset) -> _Scene:
 
 
 def _way(poses: FloatArray, grid: CellGrid) -> FloatArray:
-    """(S,) way of the cells until each pose but the first, m: of their centroid, and turning about it."""
+    """(S,) distance travelled up to each pose but the first, m: path of the centroid, plus rotation."""
     centroid = grid.centers.mean(axis=0)
     track = placed(centroid, poses)
     turned = radius_of_gyration(grid) * np.abs(np.diff(poses[:, 2]))
@@ -172,11 +174,11 @@ def _legend(finger: bool) -> list[Line2D]:
     handles = [
         Line2D([], [], color=PAPER, linewidth=6, path_effects=rim, label="start"),
         Line2D([], [], color=INK, linewidth=1.2, label="measured"),
-        Line2D([], [], color=BELIEF, linewidth=1.2, alpha=0.8, label="predicted, every hypothesis faint"),
+        Line2D([], [], color=BELIEF, linewidth=1.2, alpha=0.8, label="predicted (faint: each hypothesis)"),
     ]
     if finger:
         handles += [
-            Line2D([], [], color=FINGER, linewidth=1.0, label="path of the finger:"),
+            Line2D([], [], color=FINGER, linewidth=1.0, label="finger path:"),
             Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
             Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
         ]
@@ -185,7 +187,7 @@ def _legend(finger: bool) -> list[Line2D]:
 
 @styled
 def error_figure(comparisons: Sequence[Comparison]) -> Figure:
-    """Error at the end (ADD) of each push on a logarithmic scale, fit pushes left, held-out ones right.
+    """Error at the end of each push (ADD) on a logarithmic scale: fit pushes left, held-out pushes right.
 
     Args:
         comparisons: one model, or two over the same pushes; the first one's error gives the order.
@@ -221,7 +223,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
             x, values, marker, color=colour, markersize=size, markeredgewidth=1.3, label=label,
             markerfacecolor="white", linestyle="none",
         )  # fmt: skip
-    # The first of two models is a ring, so that a second one at its place does not hide it.
+    # The first of two models is a ring, so that the second does not hide it at the same place.
     for k, (comparison, colour) in enumerate(zip(comparisons, MODEL_COLOURS, strict=False)):
         ring = k == 0 and len(comparisons) > 1
         size, fill = (8.0, "none") if ring else (5.5, colour)
@@ -249,7 +251,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(style.PlainNumbers())
-    axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
+    axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="error at the end (ADD), mm")
     axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
     style.light_grid(axes, "y")
     figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
@@ -257,17 +259,17 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
 
 
 _MOST_DRAWN = 24  # pushes
-_ROWS = 400  # of a push
+_ROWS = 400  # samples of a push
 _PAUSE = 0.3  # s between two pushes
-_FARTHEST = 0.03  # m of air that is drawn
+_FARTHEST = 0.03  # m; largest gap that is drawn
 
 
 @styled
 def measured_figure(dataset: PushDataset) -> Figure:
-    """Pushes on the table, and contact gap and force over time, one push after the other.
+    """Pushes on the table, and contact gap and force over time, push after push.
 
-    The gap is the air between the finger's rim and the outline: near zero while the object moves, and never
-    below. Of many pushes two dozen are drawn, evenly chosen.
+    The gap is the distance between the finger's rim and the outline: near zero while the object moves, and
+    never below. Of many pushes, two dozen are drawn, evenly chosen.
 
     Example:
         >>> import slipmap
@@ -302,7 +304,7 @@ def measured_figure(dataset: PushDataset) -> Figure:
             largest = max(largest, float(np.percentile(force, 99)))
         ticks.append(now)
         now += end - begin + _PAUSE
-    if largest > 0.0:  # the blow of a touch may be ten times the force of a push
+    if largest > 0.0:  # the impact at the touch may be ten times the force of a push
         force_axes.set_ylim(-0.05 * largest, 1.3 * largest)
     _label(table, gap_axes, force_axes, ticks, now)
     more = "" if len(trials) == len(dataset.trials) else f", {len(trials)} of {len(dataset.trials)} pushes"
@@ -314,12 +316,12 @@ def _label(table: Axes, gap_axes: Axes, force_axes: Axes, ticks: list[float], en
     table.set_aspect("equal", adjustable="datalim")
     table.autoscale_view()
     table.set(xlabel="x, m", ylabel="y, m")
-    table.set_title("outlines before (grey) and after, way of the finger", loc="left", color=FAINT)
+    table.set_title("outlines before (grey) and after, finger path", loc="left", color=FAINT)
     gap_axes.axhspan(-1e3 * CALIBRATION_ERROR, 1e3 * CALIBRATION_ERROR, color="#f1efea", linewidth=0)
     gap_axes.axhline(0.0, color=FAINT, linewidth=0.8)
-    gap_axes.set_ylabel("air, mm")
-    gap_axes.set_title("between finger and outline; below 0 it is inside", loc="left", color=FAINT)
-    force_axes.set(ylabel="force, N", xlabel="time, s, one push after the other", xlim=(0.0, max(end, 1e-3)))
+    gap_axes.set_ylabel("gap, mm")
+    gap_axes.set_title("between finger and outline; negative: finger inside", loc="left", color=FAINT)
+    force_axes.set(ylabel="force, N", xlabel="time, push after push, s", xlim=(0.0, max(end, 1e-3)))
     for axes in (gap_axes, force_axes):
         for tick in ticks[1:]:
             axes.axvline(tick - 0.5 * _PAUSE, color="#dddddd", linewidth=0.6)

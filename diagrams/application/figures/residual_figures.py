@@ -1,7 +1,7 @@
-"""Every picture of where a model fails: residuals against conditions, as fields, and over lags.
+"""Figures of where a model fails: residuals against conditions, as fields, and correlations over lags.
 
-A condition is speed, direction, phase, time or order. Fields lie over the table, or over the object where it
-was touched. Correlations over lags have bounds that whole pushes give.
+A condition is speed, direction, phase, time or order. Fields cover the table, or the object where it was
+touched. The bounds of correlations come from resampling whole pushes.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,14 +30,14 @@ _NAMES = {"motion": "residual velocity", "force": "residual force"}
 _LEAST_PUSHES = 2
 
 _TITLES = {
-    "memory": ("Residual with itself later", "lag, s"),
-    "finger_along": ("Residual with the finger's velocity", "residual follows by, s"),
-    "finger_left": ("…across the finger's velocity", "residual follows by, s"),
+    "memory": ("Residual with itself", "lag, s"),
+    "finger_along": ("Residual with the finger's velocity", "lag of the residual, s"),
+    "finger_left": ("…across the finger's velocity", "lag of the residual, s"),
 }
 
 _PANEL = (3.65, 2.8)  # inches
 _PUSHES_TOGETHER, _MOST_BINS = 3, 8
-"""Pushes in a row that share a bin at least, and bins of the whole experiment at most."""
+"""Fewest successive pushes that share a bin, and most bins of the whole experiment."""
 
 CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
     "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
@@ -48,9 +48,9 @@ CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
     ),
     "phase": ("phase of the push", lambda at: at.phase.astype(float)),
     "time": ("time within the push, %", lambda at: np.array(100 * at.share)),
-    "order": ("push, in the order of the experiment", lambda at: np.array(1.0 + at.push)),
+    "order": ("push number in the experiment", lambda at: np.array(1.0 + at.push)),
 }
-"""Factors with one number to draw residuals against."""
+"""Factors that are a single number, against which residuals are drawn."""
 
 _FIELD = (3.65, 3.4)  # inches
 _TABLE_BINS = 7
@@ -58,7 +58,7 @@ _OUTLINE_BINS = 10
 _MOST_ARROWS = 60
 _COLOURS = "PuOr_r"
 _SCALED = 0.95
-"""Share of the arrows on the colour scale; a single push that turns would leave all others pale."""
+"""Share of the arrows within the colour scale; one push that turns a lot would leave all others pale."""
 _ARROW: dict[str, Any] = {
     "angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.008, "headwidth": 3.6, "headlength": 4,
 }  # fmt: skip
@@ -69,7 +69,7 @@ def _residuals_of(comparison: Comparison, quantity: str) -> Residuals | None:
 
 
 def _wanted(comparison: Comparison, quantity: str) -> Residuals:
-    """Residual velocities (`motion`) or forces (`force`); ValueError where the comparison has none."""
+    """Residual velocities (`motion`) or forces (`force`). Raises ValueError where there are none."""
     residuals = _residuals_of(comparison, quantity)
     if residuals is None:
         raise ValueError(f"{comparison.label}: there are no residuals of {quantity} in these pushes")
@@ -77,7 +77,7 @@ def _wanted(comparison: Comparison, quantity: str) -> Residuals:
 
 
 def pattern_of(comparison: Comparison, factor: str, quantity: str) -> Pattern | None:
-    """What was found for one factor, or None where it was not looked at."""
+    """The pattern of one factor, or None where it was not tested."""
     for pattern in comparison.structure:
         if (pattern.factor, pattern.quantity) == (factor, quantity):
             return pattern
@@ -85,7 +85,7 @@ def pattern_of(comparison: Comparison, factor: str, quantity: str) -> Pattern | 
 
 
 def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> FloatArray:
-    """(m, c) weighted mean of each push that occurs."""
+    """(m, c) weighted mean over each push that occurs."""
     return np.array(
         [np.average(values[push == b], axis=0, weights=weights[push == b]) for b in np.unique(push)]
     ).reshape(-1, values.shape[1])
@@ -93,7 +93,7 @@ def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> Fl
 
 @styled
 def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
-    """Three correlations over lags; the band holds all lags of 95 % of chance results.
+    """Three correlations over lags; the band contains 95 % of chance results at all lags together.
 
     Raises:
         ValueError: the first comparison has no correlations.
@@ -127,10 +127,10 @@ def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
 
 @styled
 def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str = "motion") -> Figure:
-    """Residuals against one condition: that component of them that deviates most in the first comparison.
+    """Residuals against one condition: the component that deviates most in the first comparison.
 
-    Pale dots are pushes (a push counts once in a bin, at its own condition), bars the mean over pushes with
-    its 95 % interval, where a bin has several pushes. The band is what counts as negligible.
+    Pale dots are pushes (each once per bin, at its own condition); bars are means over pushes with 95 %
+    intervals, where a bin has several pushes. Residuals within the band are negligible.
 
     Args:
         comparisons: one model, or two over the same pushes.
@@ -138,13 +138,13 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
         quantity: `motion` or `force`.
 
     Raises:
-        ValueError: a factor without a number to draw against, or one that was not looked at.
+        ValueError: the factor is not a single number, or was not tested.
     """
     if factor not in CONDITIONS:
         raise ValueError(f"unknown factor {factor!r}; choose one of {', '.join(CONDITIONS)}")
     pattern = pattern_of(comparisons[0], factor, quantity)
     if pattern is None:
-        raise ValueError(f"{comparisons[0].label}: {factor} of {quantity} was not looked at")
+        raise ValueError(f"{comparisons[0].label}: {factor} of {quantity} was not tested")
     component = pattern.strongest.split(", ")[0]
     label, condition = CONDITIONS[factor]
     figure = Figure(figsize=_PANEL)
@@ -219,7 +219,7 @@ def _ticks(axes: Axes, factor: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Field:
-    """Residuals (%) by place, their means as arrows, and the side of a bin, in which arrows are measured."""
+    """Residuals (%) by place, their means as arrows, and the width of a bin, the unit of arrow lengths."""
 
     place: FloatArray
     values: FloatArray
@@ -233,10 +233,10 @@ class _Field:
 def table_figure(
     comparison: Comparison, quantity: str = "motion", beside: Sequence[Comparison] = ()
 ) -> Figure:
-    """Residuals over the table: an arrow is the mean of one push, or of a place where there are many pushes.
+    """Residuals over the table: an arrow is the mean of one push, or of one place if there are many pushes.
 
-    For motion the colour is the turning; for force faint arrows are the pieces of the pushes. Figures that
-    are drawn with the same models `beside` have the same scales.
+    For motion, the colour is the rotation; for force, faint arrows are pieces of pushes. Figures drawn with
+    the same models `beside` have the same scales.
 
     Raises:
         ValueError: the comparison has no such residuals.
@@ -261,12 +261,12 @@ def table_figure(
 def object_figure(
     comparison: Comparison, grid: CellGrid, quantity: str = "motion", beside: Sequence[Comparison] = ()
 ) -> Figure:
-    """Residuals seen from the object, drawn where the finger touched; arrows are means of two pushes or more.
+    """Residuals in the object frame, drawn at the contact; arrows are means of two pushes or more.
 
-    Figures that are drawn with the same models `beside` have the same scales.
+    Figures drawn with the same models `beside` have the same scales.
 
     Raises:
-        ValueError: the comparison has no such residuals, or nothing was touched.
+        ValueError: the comparison has no such residuals, or the finger touched nothing.
     """
     field = _on_object(comparison, grid, quantity)
     half = 0.5 * float((field.high - field.low).max()) + 1.3 * field.bin
@@ -307,7 +307,7 @@ def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
 
 
 def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
-    """The first of some fields, so that all of them would have the same scales."""
+    """Draw the first of some fields, on scales that suit all of them."""
     field = fields[0]
     figure = Figure(figsize=_FIELD)
     axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
@@ -319,12 +319,12 @@ def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure
     limit = max(float(np.quantile(turning or [0.0], _SCALED)), 200 * NEGLIGIBLE[quantity])
     mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
     middle = (field.low + field.high) / 2
-    # One large residual gives a long arrow, and its point is what it says.
+    # The tip of a long arrow must be visible.
     reach = [
         float(np.abs(place + scale * field.bin * value[:2] - middle).max()) for place, value in field.arrows
     ]
     half = max([half, *(1.05 * far for far in reach)])
-    # With room below for the arrow that gives the scale.
+    # Leaves room below for the scale arrow.
     axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
     axes.set_aspect("equal")
     _finish(figure, axes, mappable, scale, field.bin, quantity)
@@ -334,7 +334,7 @@ def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure
 def _arrows(
     key: np.ndarray, place: FloatArray, values: FloatArray, push: np.ndarray, weights: FloatArray, least: int
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Mean place and mean value over pushes of each bin that at least so many pushes passed."""
+    """Mean place and mean value over pushes of each bin that at least `least` pushes crossed."""
     arrows = []
     for bin_key in np.unique(key):
         here = key == bin_key
@@ -345,13 +345,13 @@ def _arrows(
 
 
 def _arrow_scale(values: FloatArray, arrows: list[tuple[FloatArray, FloatArray]], quantity: str) -> float:
-    """Bins that an arrow of 1 % is long: a large mean fills one bin, unless it is negligible."""
+    """Length of an arrow of 1 % in bins: a large mean fills one bin, unless it is negligible."""
     sizes = [np.hypot(*value[:2]) for _, value in arrows] or list(np.hypot(*values.T))
     return 0.95 / max(float(np.quantile(sizes, 0.9)), 200 * NEGLIGIBLE[quantity])
 
 
 def _draw_pieces(axes: Axes, place: FloatArray, values: FloatArray, length: float) -> None:
-    """Pieces of pushes: faint arrows of forces; of motion, whose pieces are noisy, only their places."""
+    """Draw pieces of pushes: faint arrows for forces; only dots for motion, whose pieces are noisy."""
     if values.shape[1] == 3:
         axes.plot(*place.T, ".", color=FAINT, alpha=0.35, markersize=2.5, markeredgewidth=0)
         return
@@ -393,13 +393,13 @@ def _finish(
         bar = figure.colorbar(mappable, cax=figure.add_axes((0.755, 0.25, 0.03, 0.55)), extend="both")
         bar.locator = MaxNLocator(5, steps=[1, 2, 5, 10])
         bar.update_ticks()
-        bar.set_label("turning, % (+ counter-clockwise)", fontsize=8)
+        bar.set_label("rotation, % (+ counter-clockwise)", fontsize=8)
         bar.outline.set_linewidth(0.5)
         bar.ax.tick_params(labelsize=8)
 
 
 def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) -> dict[str, Figure]:
-    """Every picture that these comparisons allow, by `<quantity>.<factor>`."""
+    """All figures that these comparisons allow, by `<quantity>.<factor>`."""
     figures: dict[str, Figure] = {}
     for quantity in ("motion", "force"):
         known = [c for c in comparisons if _residuals_of(c, quantity) is not None]

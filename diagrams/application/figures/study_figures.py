@@ -1,4 +1,4 @@
-"""Pictures of many trials (curves, bars beside the paper's, calibration), and of audits of engines."""
+"""Figures of many trials (curves, bars beside the paper's, calibration), and of audits of engines."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 _COLORS = (BELIEF, FINGER, OTHER, FAINT)
 _COLUMNS = 3
-_LEVELS = np.linspace(0.0, 1.0, 201)  # of intervals, along a reliability curve
-_PANEL = 2.5  # inches, of one
+_LEVELS = np.linspace(0.0, 1.0, 201)  # probabilities of intervals along a reliability curve
+_PANEL = 2.5  # inches
 
 
 @styled
 def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> Figure:
-    """One panel an object, in it one curve a label over the number of pushes, with 95 % intervals, in mm.
+    """One panel per object with one curve per label over the number of pushes, with 95 % intervals, in mm.
 
     Args:
-        curves: object, label, and one estimate (m) after each push.
+        curves: by object and label, one estimate (m) after each push.
     """
     columns = max(1, min(_COLUMNS, len(curves)))
     rows = max(1, -(-len(curves) // columns))
@@ -47,7 +47,7 @@ def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimat
         axes.set_title(name.replace("_", " "))
         axes.set_ylim(bottom=0)
         axes.set_xticks(x)
-        axes.set_xlabel("pushes to learn from")
+        axes.set_xlabel("number of fit pushes")
     for axes in panels[:, 0]:
         axes.set_ylabel("error, mm")
     if curves:
@@ -64,8 +64,8 @@ def shares_figure(
     """Bars of shares in per cent with 95 % intervals, grouped by object, and the paper's numbers as marks.
 
     Args:
-        shares: object, method, share.
-        paper: object, method, and the paper's share from and to, in per cent, where it has one.
+        shares: by object and method.
+        paper: by object and method, the paper's range of the share in per cent, where it has one.
     """
     figure = _bars(title, shares, 100.0, paper)
     figure.axes[0].set(ylim=(0, 104), ylabel="%")
@@ -77,9 +77,9 @@ def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor
     """Bars of means with 95 % intervals, grouped by object.
 
     Args:
-        means: object, label, mean.
-        factor: that turns them into the unit.
-        unit: that is shown.
+        means: by object and label.
+        factor: converts them to the unit.
+        unit: shown on the axis.
     """
     figure = _bars(title, means, factor, {})
     figure.axes[0].set(ylabel=unit)
@@ -93,7 +93,7 @@ def _bars(
     factor: float,
     marks: Mapping[str, Mapping[str, tuple[float, float]]],
 ) -> Figure:
-    """Bars with intervals, all times a factor, a group for each object and a colour for each label, and the
+    """Bars with intervals, scaled by a factor: a group for each object, a colour for each label, and the
     paper's marks."""
     figure = Figure(figsize=(max(6.4, 1.6 * len(values) + 1.0), 3.4), layout="constrained")
     axes = figure.subplots()
@@ -122,10 +122,10 @@ def _bars(
 
 @styled
 def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Estimate]]]) -> Figure:
-    """Share of events against the probability that was stated for them.
+    """Observed share of events against their stated probability.
 
     Args:
-        bins: label, and for each bin the mean of the stated probabilities and the share that came true.
+        bins: by label, for each bin the mean stated probability and the observed share.
     """
     figure = Figure(figsize=(4.2, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -139,14 +139,14 @@ def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Esti
         )
     axes.set(
         xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal", title=title,
-        xlabel="stated probability", ylabel="share that came true",
+        xlabel="stated probability", ylabel="observed share",
     )  # fmt: skip
     axes.legend(loc="upper left")
     return figure
 
 
 def _ends(estimate: Estimate) -> tuple[float, float]:
-    """The interval; the value itself where one trial gives none."""
+    """The interval; the value itself where a single trial gives none."""
     if np.isfinite(estimate.low + estimate.high):
         return estimate.low, estimate.high
     return estimate.value, estimate.value
@@ -156,8 +156,8 @@ def _ends(estimate: Estimate) -> tuple[float, float]:
 def calibration_figure(result: CalibrationResult) -> Figure:
     """For each quantity, the share of truths inside the central interval against the interval's probability.
 
-    On the diagonal the intervals are right; below it they are too narrow, above it too wide. The band holds
-    90 % of the curves that right intervals give with so few objects (pointwise, binomial).
+    On the diagonal the intervals are right; below it they are too narrow, above it too wide. The band
+    contains 90 % of the curves of right intervals with so few objects (pointwise, binomial).
     """
     names = list(result.ranks)
     columns = min(4, max(1, len(names)))
@@ -174,10 +174,10 @@ def calibration_figure(result: CalibrationResult) -> Figure:
     for axes in panels.flat[len(names) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
-        axes.set_ylabel("truth inside")
+        axes.set_ylabel("share of truths inside")
     for column in range(columns):
         last = [axes for axes in panels[:, column] if axes.get_visible()][-1]
-        last.set_xlabel("interval of the belief")
+        last.set_xlabel("probability of the interval")
         last.tick_params(labelbottom=True)
     figure.suptitle(
         f"Calibration on {result.objects} simulated objects: below the diagonal, intervals are too narrow",
@@ -187,15 +187,15 @@ def calibration_figure(result: CalibrationResult) -> Figure:
 
 
 def inside_share(ranks: FloatArray, levels: FloatArray) -> FloatArray:
-    """(l,) share of truths in the central interval of each level (l,), from their integral values (m,)."""
+    """(l,) share of truths in the central interval of each level (l,), from their probability ranks (m,)."""
     return (np.abs(2.0 * ranks - 1.0)[None] <= levels[:, None]).mean(axis=1)
 
 
 def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
-    from scipy.stats import binom  # takes half a second to load, and every picture loads this file
+    from scipy.stats import binom  # takes half a second to load, and every figure loads this module
 
     count = len(ranks)
-    draws = min(count, objects)  # several pushes of one object are one story
+    draws = min(count, objects)  # pushes of one object are not independent
     low, high = (binom.ppf(q, draws, _LEVELS) / draws for q in (0.05, 0.95))
     axes.fill_between(_LEVELS, low, high, color=PAPER, linewidth=0)
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
@@ -211,7 +211,7 @@ def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
 
 @styled
 def friction_figure(audit: Audit) -> Figure:
-    """Polar plot: friction over Coulomb's by the direction of motion; a line at each shows its direction."""
+    """Polar plot of friction relative to Coulomb's over the direction of motion; lines show its direction."""
     figure = Figure(figsize=(4.6, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="polar")
     angle = np.arctan2(*audit.answers.direction.T[::-1])
@@ -253,7 +253,7 @@ def ends_figure(audit: Audit) -> Figure:
 
 @styled
 def prices_figure(prices: Mapping[str, float]) -> Figure:
-    """Bars: how far engines end from Coulomb's law, m."""
+    """Bars of the mean distance (m) of each engine from Coulomb's law at the ends of pushes."""
     figure = Figure(figsize=(7.2, 0.5 + 0.28 * len(prices)), layout="constrained")
     axes = figure.add_subplot()
     names = list(prices)

@@ -1,4 +1,4 @@
-"""One look for all pictures: sizes, colours, and how they are written to disk."""
+"""Shared drawing of all figures: outlines, cells, scale bars, and saving."""
 
 from pathlib import Path
 from typing import Literal
@@ -22,7 +22,7 @@ _EDGE = 0.04  # inches between a label and the edge of its figure
 
 
 class PlainNumbers(LogFormatter):
-    """Labels of a logarithmic axis without formulas, at the ticks where matplotlib has room for them."""
+    """Plain numbers as labels of a logarithmic axis, at the ticks where matplotlib has room for them."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of the tick at `x`, empty where there is none."""
@@ -30,7 +30,7 @@ class PlainNumbers(LogFormatter):
 
 
 def keep_labels_inside(figure: Figure) -> None:
-    """Narrow axes whose labels, such as long numbers, would be cut at the left or lower edge."""
+    """Shrink axes whose labels, such as long numbers, would be cut off at the left or lower edge."""
     for axes in figure.axes:
         box = axes.get_tightbbox()
         if box is None:
@@ -44,7 +44,7 @@ def keep_labels_inside(figure: Figure) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, PDF or SVG, after the ending of `path`.
+    """Write a figure as PNG, PDF or SVG, by the ending of `path`.
 
     Raises:
         OSError: the folder does not exist or cannot be written.
@@ -98,14 +98,14 @@ def draw_outline(
 
 
 def draw_finger(axes: Axes, begin: ArrayLike, end: ArrayLike, radius: float, width: float = 1.0) -> None:
-    """The finger of a radius (m) where a push begins, and filled where it ends, each (2,) m."""
+    """Draw the finger of a radius (m) as a ring where a push begins and filled where it ends, each (2,) m."""
     for place, fill in ((begin, "none"), (end, FINGER)):
         x, y = np.asarray(place, dtype=float)
         axes.add_patch(Circle((x, y), radius, facecolor=fill, edgecolor=FINGER, linewidth=width))
 
 
 def light_grid(axes: Axes, axis: Literal["x", "y"]) -> None:
-    """Pale lines behind what is drawn, at the ticks of one axis."""
+    """Draw pale lines in the background at the ticks of one axis."""
     axes.grid(axis=axis, color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)
 
@@ -119,9 +119,9 @@ def draw_cells(
     colors: str = "viridis",
     norm: Normalize | None = None,
 ) -> PolyCollection:
-    """Cells coloured by values (n,), cut off at the outline, with it, at a pose (3,) in the world, m and rad.
+    """Draw cells coloured by values (n,) and clipped to the outline at a pose (3,) in the world, m and rad.
 
-    Limits of the axes are left alone. Returns the squares, of which `Figure.colorbar` makes a scale.
+    Leaves the limits of the axes alone. Returns the squares, from which `Figure.colorbar` makes a scale.
 
     Example:
         >>> import slipmap

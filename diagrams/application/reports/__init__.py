@@ -1,1 +1,1 @@
-"""What a command reports: words, tables on the terminal, and pages of HTML that open anywhere."""
+"""Reports of commands: words, tables on the terminal, and HTML pages that any browser opens."""

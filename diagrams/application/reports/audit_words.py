@@ -1,4 +1,4 @@
-"""An audit of physics engines in words: what is printed, and the page."""
+"""An audit of physics engines in words: the printed summary and the report."""
 
 from __future__ import annotations
 
@@ -11,52 +11,54 @@ from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.application.reports.html_page import Section, page, picture, table
 from slipmap.diagrams.application.terminal import paragraph, table as print_table
 
-_COLUMNS = ("engine", "mm off", "at half its step", "step, ms", "named", "effect that explains most")
+_COLUMNS = (
+    "engine", "distance, mm", "at half the step, mm", "step, ms", "defects", "effect that explains most",
+)  # fmt: skip
 
 
 def headline(audit: Audit) -> str:
-    """The one number."""
-    return f"{audit.name} ends {1e3 * audit.pushed.price:.2g} mm from Coulomb's law."
+    """The mean distance from Coulomb's law, in a sentence."""
+    return f"Pushes in {audit.name} end {1e3 * audit.pushed.price:.2g} mm from Coulomb's law on average."
 
 
 def named(audit: Audit) -> str:
-    """What is named, in one sentence each."""
+    """The named defects, one sentence each."""
     if not audit.defects:
-        return "Nothing is named: the probes follow Coulomb's law within their tolerances."
+        return "No defect was found: the probes follow Coulomb's law within their tolerances."
     return " ".join(f"{d.title[0].upper()}{d.title[1:]}: {d.sentence}" for d in audit.defects)
 
 
 def pushed(audit: Audit) -> str:
-    """What the number is made of."""
+    """The pushes behind the mean distance, and the effect that explains most of it."""
     worst, moved = 1e3 * audit.pushed.errors.max(), 1e3 * audit.standard.moved
     said = (
-        f"That is the mean over {len(audit.pushed.errors)} pushes, which move the object by {moved:.0f} mm;"
-        f" the worst ends {worst:.2g} mm off. At half its time step the engine ends"
-        f" {1e3 * audit.pushed_half.price:.2g} mm off."
+        f"This is the mean over {len(audit.pushed.errors)} pushes, which move the object by {moved:.0f} mm;"
+        f" the worst ends {worst:.2g} mm off. At half the time step, the mean is"
+        f" {1e3 * audit.pushed_half.price:.2g} mm."
     )
     if audit.explained:
         best = audit.explained[0]
         said += (
-            f" The effect {best.effect.name}, fitted with the maps held, leaves"
+            f" Fitting the effect {best.effect.name} with the maps held fixed leaves"
             f" {1e3 * best.price:.2g} mm of it."
         )
     return said
 
 
 def remedies(audit: Audit) -> str:
-    """What to set."""
-    return f"To be nearer: {'; '.join(audit.remedies)}." if audit.remedies else ""
+    """Settings that reduce the distance."""
+    return f"To come closer: {'; '.join(audit.remedies)}." if audit.remedies else ""
 
 
 def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
-    """Rows of the table of engines, under `_COLUMNS`."""
+    """Rows of the table of engines, with columns `_COLUMNS`."""
     rows: list[tuple[str, ...]] = []
     for audit in audits:
         best = audit.explained[0] if audit.explained else None
         rows.append(
             (
                 audit.name, f"{1e3 * audit.pushed.price:.2f}", f"{1e3 * audit.pushed_half.price:.2f}",
-                f"{1e3 * audit.dt:g}", ", ".join(_short(audit)) or "nothing",
+                f"{1e3 * audit.dt:g}", ", ".join(_short(audit)) or "none",
                 "" if best is None else f"{best.effect.name}, {1e3 * best.price:.2f} mm left",
             )
         )  # fmt: skip
@@ -64,34 +66,34 @@ def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
 
 
 def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
-    """Print what was found."""
+    """Print the audits, with the distances of other engines `beside` them (m, by name)."""
     for audit in audits:
         for text in (headline(audit), named(audit), pushed(audit), remedies(audit)):
             paragraph(text)
         print_table(
-            audit.name, ("probe", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3)
+            audit.name, ("probe", "size", "±", "tolerance", "defect"), _measure_rows(audit), numbers=(1, 2, 3)
         )
     rows = [
         (
             audit.name,
             f"{1e3 * audit.pushed.price:.2f}",
-            ", ".join(d.title for d in audit.defects) or "nothing",
+            ", ".join(d.title for d in audit.defects) or "none",
         )
         for audit in audits
     ]
     rows += [(name, f"{1e3 * price:.2f}", "(not probed)") for name, price in beside.items()]
-    print_table("Engines", ("engine", "mm off", "named"), rows, numbers=(1,))
+    print_table("Engines", ("engine", "distance, mm", "defects"), rows, numbers=(1,))
 
 
 def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
-    """The page, a whole HTML document."""
+    """The report, a whole HTML document."""
     first = audits[0]
     one = len(audits) == 1
     title = f"Audit of {first.name}" if one else "Audit of physics engines"
     subtitle = ", ".join(dict.fromkeys(filter(None, (audit.version for audit in audits))))
     lead = [named(first), pushed(first), remedies(first)] if one else [headline(audit) for audit in audits]
     prices = {audit.name: audit.pushed.price for audit in audits} | dict(beside)
-    body = picture(prices_figure(prices), "How far engines end from Coulomb's law.", wide=True)
+    body = picture(prices_figure(prices), "Mean distances of engines from Coulomb's law.", wide=True)
     body += table(_COLUMNS, overview(audits), numbers=(1, 2, 3))
     sections = [Section("engines", "Engines", body)]
     sections += [_section(audit, number) for number, audit in enumerate(audits)]
@@ -102,11 +104,11 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
 
 
 _HOW = (
-    "<p>Probes are asked of a plate of even weight and friction: it is let go in 24 directions at three"
-    " speeds, kept sliding at four speeds by a gravity as steep as friction, let go with 16 spins, and left"
-    " alone under a load that friction can hold. A size is named where it is beyond its tolerance and twice"
-    " its uncertainty, in which the change at half the time step is counted. Pushes are 24 of an L of two"
-    " materials whose maps are known; Coulomb's law is slipmap's own model with these maps.</p>"
+    "<p>The probes use a plate of uniform weight and friction: it is released in 24 directions at three"
+    " speeds, kept sliding at four speeds by gravity tilted to balance friction, released with 16 spins, and"
+    " left alone under a load that friction can hold. A size counts as a defect if it exceeds its tolerance"
+    " and twice its uncertainty, which includes the change at half the time step. The 24 pushes are of an L"
+    " of two materials with known maps; Coulomb's law is slipmap's own model with these maps.</p>"
 )
 
 
@@ -115,16 +117,16 @@ def _section(audit: Audit, number: int) -> Section:
         f"<p>{escape(text)}</p>" for text in (named(audit), pushed(audit), remedies(audit)) if text
     )
     body = paragraphs + picture(
-        friction_figure(audit), f"Friction of {audit.name} by direction, over Coulomb's."
+        friction_figure(audit), f"Friction of {audit.name} by direction, relative to Coulomb's."
     )
     body += table(
-        ("probe", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3),
+        ("probe", "size", "±", "tolerance", "defect"), _measure_rows(audit), numbers=(1, 2, 3),
         marked=[measure.named for measure in audit.measures],
-        caption="Sizes are 0 by Coulomb's law.",
+        caption="Sizes are 0 under Coulomb's law.",
     )  # fmt: skip
     body += (
         picture(ends_figure(audit), "The four pushes that end farthest from Coulomb's law.", wide=True)
-        + "<p>Grey: before the push. Black: its end by Coulomb's law. Blue: in the engine.</p>"
+        + "<p>Grey: before the push. Black: end under Coulomb's law. Blue: end in the engine.</p>"
     )
     if audit.explained:
         rows = [
@@ -138,8 +140,8 @@ def _section(audit: Audit, number: int) -> Section:
             for one in audit.explained
         ]  # fmt: skip
         body += table(
-            ("effect", "mm left", "fitted"), rows, numbers=(1,),
-            caption="Effects that lower the number, fitted with the maps held.",
+            ("effect", "left, mm", "fitted"), rows, numbers=(1,),
+            caption="Effects that reduce the distance, fitted with the maps held fixed.",
         )  # fmt: skip
     return Section(f"engine-{number}", audit.name, body)
 

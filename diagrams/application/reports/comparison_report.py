@@ -29,20 +29,20 @@ _ERROR_COLUMNS = (
     "force, %",
 )
 
-_COLOURS = ("var(--model)", "var(--other)")  # of models in the film of a push
+_COLOURS = ("var(--model)", "var(--other)")  # of models in the animation of a push
 
 _COLUMNS = (("end, mm", 2), ("average, mm", 2), ("angle, °", 2), ("fit, %", 1), ("force, %", 0))
-"""Errors of one model in the table, and their digits."""
+"""Errors of one model in the table, and their numbers of digits."""
 
 _COLUMNS_OF_TWO = ("end, mm", "average, mm", "fit, %")
 _BASELINES = ("spread, mm", "uniform, mm", "no motion, mm")
 
 _FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
-"""Pictures of fields, and the factors that they show."""
+"""Field pictures, and the factors that they show."""
 
 _MOSTLY_UNSEEN = (
-    "The model did not learn from most of these pushes. Errors of its maps are common to them and can show as"
-    " patterns too; learn from these pushes to tell them from missing physics."
+    "The model did not learn from most of these pushes. Errors of its maps affect all of them and can"
+    " appear as patterns too; learn from these pushes to distinguish such errors from missing physics."
 )
 
 
@@ -50,7 +50,7 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     """The report, a whole HTML document.
 
     Args:
-        comparisons: one model, or two over the same pushes, the first being the one before.
+        comparisons: one model, or two over the same pushes, the earlier model first.
         where: the dataset, as a command takes it.
 
     Raises:
@@ -60,14 +60,14 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
-    title = f"{dataset.name}: model against measurement"
+    title = f"{dataset.name}: model and measurement"
     headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
     lead = [text for text in (others, *words.findings(comparisons)) if text]
     return page(title, subtitle, lead, sections, headline + dot.rstrip())
 
 
 def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
-    """All sections, in the order of reading; arguments and errors as of `comparison_report`."""
+    """All sections in reading order; arguments and errors as in `comparison_report`."""
     _check_same_pushes(comparisons)
     sections = [
         _error_section(comparisons),
@@ -101,31 +101,31 @@ def _error_section(comparisons: Sequence[Comparison]) -> Section:
         ["pushes", "prediction", *_ERROR_COLUMNS],
         rows,
         numbers=range(2, 2 + len(_ERROR_COLUMNS)),
-        caption="Means over pushes. Position, angle: of the object frame at the end. Force: root mean square"
-        " while the finger presses steadily.",
+        caption="Means over pushes. ADD: average distance between predicted and measured cells. Position,"
+        " angle: of the object frame at the end. Force: root mean square while the finger presses steadily.",
     )
     body = (
         picture(error_figure(comparisons), "Error of every push at its end", wide=True)
         + numbers
         + _floor(first)
     )
-    return Section("errors", "How far off", body)
+    return Section("errors", "Prediction errors", body)
 
 
 def _floor(comparison: Comparison) -> str:
     floor = comparison.floor
     if floor is None:
-        text = "No noise is declared and no push was repeated, so there is no noise floor to show."
+        text = "No noise is declared and no push was repeated, so the noise floor is unknown."
     elif floor.source == "repeats":
         text = (
-            f"Noise floor {words.millimetres(floor.add)} mm: mean ADD of {floor.repeats} pushes in"
-            f" {len(floor.groups)} groups of repeats (same start relative to the object, same finger path)"
-            " from the mean of their group."
+            f"Noise floor {words.millimetres(floor.add)} mm: mean ADD between {floor.repeats} pushes and the"
+            f" means of their {len(floor.groups)} groups of repeats (same start relative to the object, same"
+            " finger path)."
         )
     else:
         text = (
-            f"Noise floor {words.millimetres(floor.add)} mm: the ADD that the declared noise of one pose"
-            " makes. No push was repeated, so how far real pushes scatter is not known."
+            f"Noise floor {words.millimetres(floor.add)} mm: the ADD due to the declared noise of one pose."
+            " No push was repeated, so the scatter of real pushes is unknown."
         )
     return f'<p class="note">{escape(text)}</p>'
 
@@ -146,7 +146,7 @@ def _cells(errors: Errors) -> list[str]:
 
 
 def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
-    """The section with its data; first shown is the worst of the pushes that count."""
+    """The section with its data; it shows the worst of the pushes that count first."""
     first = comparisons[0]
     role, _ = words.judged(first)
     worst = max(
@@ -172,7 +172,7 @@ def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Se
         f"<span><i style='color:{colour}'></i>{escape(comparison.label)}</span>"
         for colour, comparison in zip(_COLOURS, comparisons, strict=False)
     ]
-    body = f"""<p class="note">Point at a trace or a row to see it alone; click to load it into the film.</p>
+    body = f"""<p class="note">Point at a trace or a row to highlight it; click to animate it.</p>
 <div class="pushes">
 <div><h3>All pushes on the table</h3>
 <svg class="map" role="img" aria-label="Traces of all pushes"></svg></div>
@@ -266,7 +266,7 @@ def _number(value: float, digits: int, bar: float | None = None) -> str:
 
 
 def _rounded(values: FloatArray) -> list[Any]:
-    """Numbers to a hundredth of a millimetre: the file stays small."""
+    """Numbers rounded to a hundredth of a millimetre, to keep the file small."""
     rounded: list[Any] = np.round(values, 5).tolist()
     return rounded
 
@@ -307,12 +307,11 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
         for pattern in comparison.structure
     ]
     marked = [pattern.significant for pattern in comparison.structure]
-    columns = ["of", "depends on", "most in", "size (95 % interval)", "p", "p, all tests"]
+    columns = ["error in", "depends on", "mostly", "size (95 % interval)", "p", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
     caption = (
-        f"{head}{len(rows)} tests with {max((p.pushes for p in comparison.structure), default=0)} pushes as"
-        " the unit of evidence; marked where chance gives as much with less than 5 % probability, all tests"
-        " considered."
+        f"{head}{len(rows)} tests over {max((p.pushes for p in comparison.structure), default=0)} pushes,"
+        " each push counting once; marked where p, corrected for all tests, is below 5 %."
     )
     most = max(6, sum(marked))
     shown = table(columns, rows[:most], numbers=(3, 4, 5), marked=marked, caption=caption)
@@ -345,11 +344,11 @@ def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
     assert found is not None
     longest = found.memory.lags[-1]
     memory = (
-        f"It falls to 1/e after {found.memory_time:.2f} s: a push holds as much as about"
+        f"The correlation falls to 1/e after {found.memory_time:.2f} s: a push is worth about"
         f" {found.independent:.1f} independent residuals, however densely it was sampled."
         if np.isfinite(found.memory_time)
-        else f"It does not fall to 1/e within {longest:.1f} s: a push is about one independent residual,"
-        " however densely it was sampled."
+        else f"The correlation does not fall to 1/e within {longest:.1f} s: a push is worth about one"
+        " independent residual, however densely it was sampled."
     )
     along, left = (
         "outside the band" if correlation.p < 0.05 else "inside the band"
@@ -357,13 +356,13 @@ def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
     )
     body = (
         picture(correlation_figure(comparisons), "Correlations over lags", wide=True)
-        + f"<p>Left: how long the pose residual remembers itself. {escape(memory)} Middle and right: the"
-        f" residual against the finger's velocity, in its direction ({along}, p"
-        f" {words.p_text(found.finger_along.p)}) and to its left ({left}, p"
-        f" {words.p_text(found.finger_left.p)}). A negative correlation in its direction means that measured"
-        " poses trail behind.</p>"
-        '<p class="note">Bands hold all lags of 95 % of chance results: pairs of different pushes for the'
-        " left picture, random signs of whole pushes for the others. These two p-values are for looking; the"
-        " tests above are the ones that are corrected together.</p>"
+        + f"<p>Left: autocorrelation of the pose residual. {escape(memory)} Middle and right: correlation"
+        " of the residual with the finger's velocity, along it"
+        f" ({along}, p {words.p_text(found.finger_along.p)}) and to its left"
+        f" ({left}, p {words.p_text(found.finger_left.p)}). A negative correlation along the velocity means"
+        " that measured poses trail behind.</p>"
+        '<p class="note">The bands contain 95 % of chance results at all lags together: pairs of different'
+        " pushes for the left picture, random signs of whole pushes for the others. These two p-values are"
+        " exploratory; only the tests above are corrected together.</p>"
     )
     return Section("time", "Over time", body)

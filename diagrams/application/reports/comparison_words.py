@@ -1,4 +1,4 @@
-"""What a comparison found, in words that terminal and report share."""
+"""The findings of a comparison in words, for terminal and report."""
 
 import math
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ from slipmap.models.inference.residual_structure import LEVEL, Pattern
 from slipmap.models.inference.sign_flips import smallest_p
 
 ROLES = {"fit": "fit", "heldout": "held out"}
-"""What people read for the role of a push."""
+"""Roles of pushes in words."""
 
 QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
-"""What people read for the quantity of a pattern."""
+"""Quantities of patterns in words."""
 
-_NOISE = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
+_NOISE = {"repeats": "repeated pushes scatter by", "declared noise": "sensor noise alone explains"}
 
 
 def short_name(trial: str) -> str:
-    """`trials/003.json` as `003`; a long name keeps its end, which tells it from others."""
+    """`trials/003.json` as `003`; a long name keeps its end, which distinguishes it from others."""
     name = trial.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     return name if len(name) <= 24 else "…" + name[-23:]
 
@@ -34,7 +34,7 @@ def judged(comparison: Comparison) -> tuple[str, Totals]:
 
 
 def summary(comparison: Comparison) -> str:
-    """How far off the model is, against what, in one or two sentences."""
+    """The model's error beside the baselines and the noise, in one or two sentences."""
     role, totals = judged(comparison)
     count = f"{totals.pushes} pushes" if totals.pushes > 1 else "the one push"
     which = f"On {count} that it {'never saw' if role == 'heldout' else 'learnt from'}"
@@ -43,7 +43,7 @@ def summary(comparison: Comparison) -> str:
     average = " on average" if totals.pushes > 1 else ""
     text = (
         f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose{average}"
-        " (ADD, the mean distance of the object's points); a uniform object ends"
+        " (ADD: mean distance between the object's predicted and measured points); a uniform object ends"
         f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
         f" {millimetres(totals.resting.final_add)} mm."
     )
@@ -53,15 +53,15 @@ def summary(comparison: Comparison) -> str:
 
 
 MANY_TIMES = 5.0
-"""Errors over the noise from which an error counts as the model's."""
+"""Ratio of error to noise from which the error counts as the model's."""
 
 NO_BETTER = 0.95
-"""Share of a uniform object's error from which maps are said to predict no better than it does."""
+"""Share of a uniform object's error from which the maps are said to predict no better."""
 
 
 def headline(comparison: Comparison, where: str = "DATASET") -> str:
-    """What a reader must not miss: a model no better than a uniform object, pushes that ended elsewhere than
-    any of its hypotheses allows; empty where there is neither.
+    """The main warning: a model no better than a uniform object, or pushes that ended outside their regions;
+    empty where there is neither.
 
     Args:
         where: the dataset, as a command takes it.
@@ -76,12 +76,12 @@ def headline(comparison: Comparison, where: str = "DATASET") -> str:
 
 
 def advice(where: str) -> str:
-    """What to do about a model that is wrong."""
-    return f"`slipmap diagnose {where}` asks which physical effect the model misses."
+    """What to do about a wrong model."""
+    return f"`slipmap diagnose {where}` searches for the physical effect that the model misses."
 
 
 def no_better_than_uniform(comparison: Comparison) -> str:
-    """An error of many times the noise that a uniform object makes, too; empty where it is not so."""
+    """Sentence on a model whose error is many times the noise and that of a uniform object; else empty."""
     role, totals = judged(comparison)
     ours, uniform, floor = totals.model.final_add, totals.uniform.final_add, comparison.floor
     if floor is None or not (ours > MANY_TIMES * floor.add and ours > NO_BETTER * uniform):
@@ -90,7 +90,7 @@ def no_better_than_uniform(comparison: Comparison) -> str:
     return (
         f"{which} end {millimetres(ours)} mm off: {ours / max(floor.add, 1e-9):.0f} times what"
         f" {_NOISE[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object,"
-        " so that the maps explain nothing of it. The model is wrong."
+        " so the maps explain none of it. The model is wrong."
     )
 
 
@@ -99,11 +99,11 @@ class Surprises:
     """Pushes that ended outside their 95 % regions, in words."""
 
     text: str  # empty where there is none
-    beyond_chance: bool  # whether so many, or one so far out, are more than a right model explains
+    beyond_chance: bool  # whether so many, or one so far out, are more than a correct model explains
 
 
 def surprises(pushes: Sequence[Prediction]) -> Surprises:
-    """Which pushes missed by more than their intervals, by how much, and whether chance explains that."""
+    """Which pushes ended outside their regions, how far, and whether chance explains that."""
     beyond_region = (push for push in pushes if push.surprising)
     found = sorted(beyond_region, key=lambda push: push.allowed_add - push.final_add)
     if not found:
@@ -113,14 +113,17 @@ def surprises(pushes: Sequence[Prediction]) -> Surprises:
     so_many = float(bdtrc(len(found) - 1, count, 1.0 - LEVEL_INSIDE))
     beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or rarest * count <= 1.0 - LEVEL_INSIDE
     text = (
-        f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction, where"
-        f" {100 * LEVEL_INSIDE:.0f} % of such pushes end within {millimetres(worst.allowed_add)} mm."
+        f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction;"
+        f" {100 * LEVEL_INSIDE:.0f} % of such pushes should end within {millimetres(worst.allowed_add)} mm."
     )
     if len(found) > 1:
         also = _listed_names([short_name(push.trial) for push in found[1:]])
-        text += f" So did {also}: {len(found)} of {count} pushes end outside their intervals."
+        text += f" In all, {len(found)} of {count} pushes ended outside their 95 % regions (also {also})."
     if not beyond:
-        text += f" Of {count} pushes of a right model {max(1.0, (1.0 - LEVEL_INSIDE) * count):.0f} may."
+        text += (
+            f" With a correct model, {max(1.0, (1.0 - LEVEL_INSIDE) * count):.0f} of {count} pushes may end"
+            " outside by chance."
+        )
     start = "SURPRISING: " if beyond else "Surprising: "
     return Surprises(start + text, beyond)
 
@@ -131,70 +134,74 @@ def _listed_names(names: Sequence[str]) -> str:
 
 
 def summary_of_two(before: Comparison, after: Comparison) -> str:
-    """How far off two models over the same pushes are."""
+    """The errors of two models over the same pushes, in two sentences."""
     role, totals = judged(before)
     ours, theirs = totals.model, after.totals[role].model
     which = "held-out" if role == "heldout" else "fit"
     return (
-        f"Over {totals.pushes} {which} pushes, “{before.label}” ends {millimetres(ours.final_add)} mm from"
-        f" the measured pose, “{after.label}” {millimetres(theirs.final_add)} mm (ADD); over their course"
-        f" {millimetres(ours.mean_add)} and {millimetres(theirs.mean_add)} mm. A uniform object ends"
+        f"On {totals.pushes} {which} pushes, the model “{before.label}” ends {millimetres(ours.final_add)} mm"
+        f" from the measured pose on average, the model “{after.label}” {millimetres(theirs.final_add)} mm"
+        " (ADD: mean distance between the object's predicted and measured points); averaged along the path,"
+        f" it is {millimetres(ours.mean_add)} and {millimetres(theirs.mean_add)} mm. A uniform object ends"
         f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
         f" {millimetres(totals.resting.final_add)} mm."
     )
 
 
 def finding(comparison: Comparison) -> str:
-    """Whether what is left has a pattern, in one or two sentences."""
+    """Whether the remaining error has a pattern, in one sentence."""
     found = comparison.significant
     if not found:
         if not comparison.testable:
             tests = len(comparison.structure)
             most = max((pattern.pushes for pattern in comparison.structure), default=0)
             return (
-                f"{_pushes(most)} cannot show whether the remaining error has a pattern: {tests} tests take"
-                f" at least {pushes_needed(tests)}."
+                f"{_pushes(most)} cannot show whether the remaining error has a pattern: {tests} tests need"
+                f" at least {pushes_needed(tests)} pushes."
             )
-        text = "What is left shows no pattern beyond chance and what is negligible"
+        text = "The remaining error shows no significant pattern above the negligible size"
         if headline(comparison):
-            text = "None of the conditions alone explains what is left"
+            text = "No single condition explains the remaining error"
         most = max(pattern.pushes for pattern in comparison.structure)
         if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:
-            text += f", but {_pushes(most)} can show only very clear ones"
+            text += f", but {_pushes(most)} can show only very clear patterns"
         return f"{text}."
     named = _listed([sentence_part(pattern) for pattern in found[:4]])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return f"What is left has a pattern: {named}{more}."
+    return f"The remaining error has a pattern: {named}{more}."
 
 
 def findings(results: Sequence[Comparison]) -> list[str]:
-    """What was found of one model, or of two over the same pushes, in a paragraph each."""
+    """The findings on one model, or on two over the same pushes, one paragraph each."""
     if len(results) == 1:
         return [summary(results[0]), finding(results[0])]
     learnt = (
-        "Both models were learnt as by `slipmap fit`, which takes the errors of one push as hanging together;"
-        " `slipmap identify`, and compare without --effect, count every measured pose for itself, so that"
-        " their model differs a little from the one without effects here."
+        "Both models were learnt as in `slipmap fit`, which treats the errors within a push as correlated."
+        " `slipmap identify`, and `slipmap compare` without --effect, treat every measured pose as"
+        " independent, so their model differs a little from the one without effects here."
     )
     return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results), learnt]
 
 
 def sentence_part(pattern: Pattern) -> str:
-    """One pattern in a sentence, such as `the force depends on speed (19 %)`."""
+    """One pattern as a clause, such as `the error of the force depends on the speed (19 %)`."""
     if pattern.quantity == "delay":
         late = "late" if pattern.size > 0 else "early"
         return f"measured poses come {abs(1e3 * pattern.size):.0f} ms {late}"
     thing, size = f"the {pattern.quantity}", f"{100 * abs(pattern.size):.2g} %"
     if pattern.factor == "overall":
-        more = {"motion": ("goes farther", "goes less far"), "force": ("is stronger", "is weaker")}
-        return f"{thing} {more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
+        more = {
+            "motion": ("the object moves farther", "the object moves less far"),
+            "force": ("the force is larger", "the force is smaller"),
+        }
+        return f"{more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
     if pattern.factor in ("table_drift", "object_drift"):
-        return f"{thing} is off {_turned(pattern)} everywhere ({size})"
-    return f"the error of {thing} changes with the {pattern.title} ({size})"
+        return f"{thing} is off everywhere, {_turned(pattern)} ({size})"
+    return f"the error of {thing} depends on the {pattern.title} ({size})"
 
 
 def _turned(pattern: Pattern) -> str:
-    """Direction of a drift with its sign in it."""
+    """Direction of a drift, with its sign."""
     if pattern.size > 0:
         return pattern.strongest.replace(" x", " +x").replace(" y", " +y")
     opposite = pattern.strongest.replace(" x", " -x").replace(" y", " -y")
@@ -202,7 +209,7 @@ def _turned(pattern: Pattern) -> str:
 
 
 def size_text(pattern: Pattern) -> str:
-    """Size with its 95 % interval, in the unit that fits."""
+    """Size with its 95 % interval, in ms or per cent."""
     if pattern.quantity == "delay":
         low, size, high = (1e3 * value for value in (pattern.low, pattern.size, pattern.high))
         return f"{size:+.0f} ms ({low:.0f} to {high:.0f})"
@@ -216,7 +223,7 @@ def p_text(p: float) -> str:
 
 
 def pushes_needed(tests: int) -> int:
-    """The least number of pushes with which one of so many tests can become significant."""
+    """Smallest number of pushes with which one of so many tests can become significant."""
     count = 1
     while smallest_p(count) * tests >= LEVEL:
         count += 1
@@ -224,7 +231,7 @@ def pushes_needed(tests: int) -> int:
 
 
 def millimetres(metres: float) -> str:
-    """Two figures below 10 mm, else tenths."""
+    """Hundredths of a millimetre below 1 mm, tenths from there."""
     value = 1e3 * metres
     return "–" if not math.isfinite(value) else f"{value:.2f}" if value < 1 else f"{value:.1f}"
 

@@ -68,7 +68,7 @@ def diagnosis_report(
 def compared(
     diagnosis: Diagnosis, dataset: PushDataset, progress: Progress | None = None
 ) -> list[Comparison]:
-    """The model without effects, and the best one where it differs, against all pushes."""
+    """Comparisons with all pushes of the model without effects, and of the best one where it differs."""
     pushes = with_locked(dataset, diagnosis.locked)
     models = [(phrases.before_label(diagnosis), diagnosis.without_effects)]
     if diagnosis.with_effects is not None:
@@ -90,7 +90,7 @@ def _answer_section(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequenc
             columns = ["parameter", "value", "90 % interval", "meaning"]
             parts.append(table(columns, parameter_rows([effect], estimates), numbers=(1, 2)))
     if len(effects) > 1 and not diagnosis.together:
-        parts.append('<p class="note">Each of these alone explains the data; sizes hold for it alone.</p>')
+        parts.append('<p class="note">Each of these explains the data by itself, with the size given.</p>')
     return Section("answer", "What is missing", "\n".join(parts))
 
 
@@ -98,17 +98,17 @@ def _unknown_section(diagnosis: Diagnosis) -> Section:
     text = str(diagnosis.depends_on)
     name, _, sentence = text.partition(": ")
     body = (
-        "<p>No effect of the library, alone or in pairs, explains what is left. Of the flexible laws that"
-        f" were tried, this one gains most: <b>{escape(sentence or name)}</b></p>"
+        "<p>No effect of the library, alone or in pairs, explains the remaining error. Of the flexible laws"
+        f" that were tried, this one gains most: <b>{escape(sentence or name)}</b></p>"
         '<p class="note">The pictures below, under “Where it fails”, show the residuals of the model without'
-        " effects against place, direction, speed, phase, time and order. An effect of your own, written down"
-        " in a few lines, can be tried with <code>--effect-file</code>.</p>"
+        " effects against place, direction, speed, phase, time and order. You can write an effect of your own"
+        " in a few lines and try it with <code>--effect-file</code>.</p>"
     )
-    return Section("answer", "What is left", body)
+    return Section("answer", "What remains unexplained", body)
 
 
 def _ranking_section(diagnosis: Diagnosis) -> Section:
-    columns = ["effect", "gain", "p", "refitted", "left on top", "p of that", "standing"]
+    columns = ["effect", "gain, nats", "p", "refitted, nats", "left on top, nats", "p of that", "status"]
     note = f'<p class="note">{escape(phrases.QUICK)}</p>' if diagnosis.quick else ""
     numbers = table(
         columns, phrases.ranking(diagnosis), numbers=range(1, 6),
@@ -129,7 +129,7 @@ def _locked_section(diagnosis: Diagnosis) -> Section:
     count = len(diagnosis.locked)
     which = "This push was" if count == 1 else f"These {count} pushes were"
     body = (
-        f"<p>{which} put aside before anything was fitted, and judge the answer.</p>"
+        f"<p>{which} set aside before anything was fitted, to test the answer.</p>"
         f'<div class="beside"><div>{picture(locked_figure(diagnosis), "Error of every locked push")}</div>'
         f"<div>{numbers}</div></div>"
     )
@@ -144,7 +144,7 @@ def _next_push_section(diagnosis: Diagnosis, dataset: PushDataset) -> Section:
     )
     drawn = picture(
         telling_push_figure(push, diagnosis, dataset),
-        "The next push, and where each model says it ends",
+        "The next push, and where each model predicts its end",
         wide=True,
     )
     body = f'<p>{escape(str(push["sentence"]))}</p>{drawn}<dl class="facts">{facts}</dl>'

@@ -1,4 +1,4 @@
-"""What diagnoses found, of one dataset or of several: in words and tables that terminal and report share."""
+"""Diagnoses of one dataset or several, in words and tables for terminal and report."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,23 +17,23 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 
 QUICK = (
-    "A quick look: at most ten pushes, with larger steps; chance was not simulated, so there are no"
-    " p-values, and gains are judged by a fixed threshold."
+    "A quick look: at most ten pushes, with larger steps. Chance was not simulated, so there are no"
+    " p-values; gains are judged by a fixed threshold."
 )
 
 
 def before_label(diagnosis: Diagnosis) -> str:
-    """What the model without the answer is called."""
+    """Label of the model without the answer."""
     return "without effects" if diagnosis.effect_objects else "the model"
 
 
 def after_label(diagnosis: Diagnosis) -> str:
-    """What the best model is called."""
+    """Label of the best model."""
     return "with " + " and ".join(effect.name for effect in diagnosis.effect_objects)
 
 
 def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
-    """Why a candidate is ruled out, or that it is not."""
+    """Whether a candidate is ruled out, and why."""
     if candidate.name in diagnosis.effects:
         others = [name for name in diagnosis.effects if name != candidate.name]
         if diagnosis.together and others:
@@ -41,7 +41,8 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         return "not ruled out"
     if candidate.rejected_by is not None:
         found = candidate.rejected_by
-        gain = "" if candidate.remaining_gain is None else f" gains {nats(candidate.remaining_gain)} more"
+        left = candidate.remaining_gain
+        gain = "" if left is None else f" gains {nats(left)} nats more"
         named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
         return f"{named} on top{gain}"
     for names, text in diagnosis.objections.items():
@@ -50,25 +51,25 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
     if candidate.fitted_gain is not None:
         best = max(c.fitted_gain for c in diagnosis.candidates if c.fitted_gain is not None)
         if candidate.fitted_gain < best:
-            return f"explains {nats(best - candidate.fitted_gain)} less than the best"
+            return f"explains {nats(best - candidate.fitted_gain)} nats less than the best"
         return _disagreed(diagnosis)
     if candidate.p_value is None:
-        return "gains too little" if candidate.gain <= QUICK_GAIN else "behind the best on a short search"
+        return "gains too little" if candidate.gain <= QUICK_GAIN else "behind the best in a short search"
     if candidate.p_value > LEVEL:
         return "gains no more than chance"
     return "far from the best" if diagnosis.effects else _disagreed(diagnosis)
 
 
 def _disagreed(diagnosis: Diagnosis) -> str:
-    """Why the candidate that explains most is not the answer, where nothing was found on top of it."""
+    """Why the candidate that explains most is not the answer although nothing was found on top of it."""
     if diagnosis.verdict == "undecided" and diagnosis.motion_error > ROUGH:
         alone = len(diagnosis.open_trials) == 1
         return "no other push to agree with" if alone else "the pushes do not agree on it"
-    return "too little of it shows"
+    return "too weak in these pushes"
 
 
 def probe_sentence(name: str) -> str:
-    """What a probe asks, in a clause; empty for what is no probe."""
+    """What a probe models, in a clause; empty for other names."""
     for probe in PROBES:
         if probe.name == name:
             return f"{probe.sentence[0].lower()}{probe.sentence[1:].rstrip('.')}"
@@ -76,7 +77,7 @@ def probe_sentence(name: str) -> str:
 
 
 def sizes(diagnosis: Diagnosis, grid: CellGrid) -> list[str]:
-    """For each effect of the answer its name and how large it is, in words."""
+    """The name and size of each effect of the answer, in words."""
     told = []
     for name in diagnosis.effects:
         estimates = [p for p in diagnosis.parameters if p.effect == name]
@@ -86,19 +87,22 @@ def sizes(diagnosis: Diagnosis, grid: CellGrid) -> list[str]:
 
 
 def evidence(diagnosis: Diagnosis) -> str:
-    """What the verdict rests on: the pushes, and the chance of a gain like this."""
+    """The evidence behind the verdict: the pushes, the p-value, and how to read gains."""
     count = len(diagnosis.open_trials)
-    text = f"Asked of {count} {'push' if count == 1 else 'pushes'}"
+    text = f"Based on {count} {'push' if count == 1 else 'pushes'}"
     if diagnosis.locked:
         count = len(diagnosis.locked)
-        text += f"; {count} more {'was' if count == 1 else 'were'} locked away to judge by"
+        text += f"; {count} more {'was' if count == 1 else 'were'} locked away to test the answer"
     if diagnosis.p_value is not None:
-        text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, all candidates considered"
-    return f"{text}. Gains are in nats, natural logarithms of probability: 10 are a factor of 22,000."
+        text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
+    return (
+        f"{text}. Gain: natural logarithm (nats) of how much more probable an effect makes left-out pushes;"
+        " 10 nats are a factor of 22,000."
+    )
 
 
 def improvement(diagnosis: Diagnosis) -> str:
-    """What the locked pushes say of the answer, in a sentence; empty where none was locked away."""
+    """Errors on the locked pushes with and without the answer, in a sentence; empty where none was locked."""
     before, after = diagnosis.before, diagnosis.after
     if before is None or after is None:
         return ""
@@ -109,32 +113,32 @@ def improvement(diagnosis: Diagnosis) -> str:
     )
     if not diagnosis.effect_objects:
         return (
-            f"{which}, the model is {path} off on average and {end} at the end, by the mean distance of the"
-            " object's points (ADD)."
+            f"{which}, the model is {path} off on average along the path and {end} at the end (ADD: mean"
+            " distance between the object's predicted and measured points)."
         )
     return (
-        f"{which}, the model without it is {path} off on average, with it {path_after}; at the end {end} and"
-        f" {end_after}, by the mean distance of the object's points (ADD)."
+        f"{which}, the model is {path} off on average along the path {before_label(diagnosis)} and"
+        f" {path_after} {after_label(diagnosis)}; at the end, {end} and {end_after} (ADD: mean distance"
+        " between the object's predicted and measured points)."
     )
 
 
 def locked_table(diagnosis: Diagnosis) -> tuple[list[str], list[list[str]]]:
-    """What the models are called, and their errors on the pushes that were locked away; no rows where none
-    was."""
+    """Labels of the models, and their errors on the locked pushes; no rows where none was locked."""
     names, models = ["the model"], [diagnosis.before]
     if diagnosis.effect_objects:
         names, models = [before_label(diagnosis), after_label(diagnosis)], [diagnosis.before, diagnosis.after]
     errors = [one for one in models if one is not None]
     rows = [
-        ["over the course (ADD), mm", *(millimetres(float(e.path.mean())) for e in errors)],
+        ["along the path (ADD), mm", *(millimetres(float(e.path.mean())) for e in errors)],
         ["at the end (ADD), mm", *(millimetres(float(e.final.mean())) for e in errors)],
-        ["misfit, in sensor noise (1 is perfect)", *(f"{e.total_misfit:.2f}" for e in errors)],
+        ["misfit, times sensor noise (1 is best)", *(f"{e.total_misfit:.2f}" for e in errors)],
     ]
     return names, rows if errors else []
 
 
 def ranking(diagnosis: Diagnosis) -> list[list[str]]:
-    """Name, gain, p, refitted gain, what is left on top and its p, and standing of each candidate."""
+    """Name, gain, p, refitted gain, gain left on top and its p, and status of each candidate."""
     return [
         [
             candidate.name,
@@ -150,7 +154,7 @@ def ranking(diagnosis: Diagnosis) -> list[list[str]]:
 
 
 def rivals_sentence(diagnosis: Diagnosis) -> str:
-    """Which effects the pushes cannot rule out besides the first; empty where there is nothing to say."""
+    """Which effects the pushes cannot rule out besides the first; empty where nothing needs saying."""
     if any(len(fitted.effects) > 1 for fitted in diagnosis.rivals[1:]):
         return ""  # The verdict's sentence lists the pairs.
     if diagnosis.verdict == "ambiguous":
@@ -162,7 +166,7 @@ def rivals_sentence(diagnosis: Diagnosis) -> str:
 
 
 def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Name and value of what a person needs to carry out the next push."""
+    """Names and values that a person needs to make the next push."""
 
     def pair(key: str) -> tuple[float, ...]:
         return tuple(float(value) for value in push[key])  # type: ignore[attr-defined]
@@ -177,9 +181,9 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
         ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
     ]
     if push["dwell"]:
-        facts.append(("rest half-way", f"{float(push['dwell']):.1f} s"))  # type: ignore[arg-type]
+        facts.append(("pause half-way", f"{float(push['dwell']):.1f} s"))  # type: ignore[arg-type]
     names = [str(name) for name in push["separates"]]  # type: ignore[attr-defined]
-    facts.append(("tells apart" if len(names) > 1 else "is about", ", ".join(names)))
+    facts.append(("distinguishes" if len(names) > 1 else "tests", ", ".join(names)))
     facts.append(("separation", f"{float(push['separation']):.1f} standard deviations"))  # type: ignore[arg-type]
     return facts
 
@@ -189,7 +193,7 @@ def _millimetre_pair(place: Sequence[float]) -> str:
 
 
 def nats(gain: float | None) -> str:
-    """A gain with a tenth below 100, a dash where there is none."""
+    """A gain, with tenths below 100; a dash where there is none."""
     if gain is None:
         return "–"
     text = f"{gain:.0f}" if abs(gain) >= 100 else f"{gain:.1f}"
@@ -202,7 +206,7 @@ def p_shown(p: float | None) -> str:
 
 
 def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
-    """The effects among some that the answer names, in its order."""
+    """Those of some effects that the answer names, in its order."""
     by_name = {effect.name: effect for effect in effects}
     return [by_name[name] for name in diagnosis.effects if name in by_name]
 
@@ -210,21 +214,20 @@ def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
 def show_diagnosis(
     diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect], where: str = "DATASET"
 ) -> None:
-    """Print what a diagnosis of a dataset found; `effects` are all that were tried, `where` is the dataset as
-    a command takes it."""
+    """Print a diagnosis of a dataset; `effects` are all that were tried, `where` is the dataset's path."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)
     paragraph(QUICK if diagnosis.quick else "")
     if diagnosis.without_effects.share_of_known == 0.0:
         paragraph(
-            "THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: without effects, free maps explain them far"
-            " better. If no effect above explains that, what is said to be known is wrong."
+            "THE PUSHES CONTRADICT THE KNOWN MAPS: without effects, free maps explain them far better. If no"
+            " effect above explains that, the maps given as known are wrong."
         )
     click.echo()
     table(
         f"Effects that were tried. {evidence(diagnosis)}",
-        ["effect", "gain", "p", "refitted", "standing"],
+        ["effect", "gain, nats", "p", "refitted, nats", "status"],
         [[*row[:4], row[-1]] for row in ranking(diagnosis)],
         numbers=(1, 2, 3),
     )
@@ -245,7 +248,7 @@ def show_diagnosis(
 def _show_locked(diagnosis: Diagnosis) -> None:
     names, rows = locked_table(diagnosis)
     if not rows:
-        paragraph("No push was locked away, so there are no errors to judge by: record three pushes or more.")
+        paragraph("No push was locked away, so nothing tests the answer: record three pushes or more.")
         return
     count = len(diagnosis.locked)
     title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
@@ -253,7 +256,7 @@ def _show_locked(diagnosis: Diagnosis) -> None:
 
 
 def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
-    """Print it; `grid` is that of one object, for what its size decides."""
+    """Print a joint diagnosis; `grid` is that of one object, whose size some effects depend on."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for name in diagnosis.effects:
         estimates = [p for p in diagnosis.parameters if p.effect == name]
@@ -263,8 +266,8 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
     paragraph(f"Next: {diagnosis.next_step()}")
     click.echo()
     table(
-        "Effects that were tried, in nats",
-        ["effect", "gain", "refitted", "evidence", "standing"],
+        "Effects that were tried; gains and evidence in nats (natural logarithms of probability ratios)",
+        ["effect", "gain", "refitted", "evidence", "status"],
         [
             [
                 c.name,
@@ -278,26 +281,27 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
         numbers=(1, 2, 3),
     )
     table(
-        "Locked pushes of each dataset: error at the end (ADD), mm, and fall of their cost, nats",
-        ["dataset", "open", "locked", "without", "with", "fall", "alone it says"],
+        "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
+        " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone",
+        ["dataset", "open", "locked", "without", "with", "fall", "fitted alone"],
         [_row(one) for one in diagnosis.datasets],
         numbers=(1, 2, 3, 4, 5),
     )
 
 
 def where_it_falls(diagnosis: JointDiagnosis) -> str:
-    """On which datasets the locked pushes are better predicted with the answer; empty without one."""
+    """On which datasets the answer predicts the locked pushes better; empty without an answer."""
     falls = {one.name: one.fall for one in diagnosis.datasets if one.fall is not None}
     if not falls:
         return ""
     against = [name for name, fall in falls.items() if fall <= 0.0]
-    which = "every dataset are better predicted"
+    which = "every dataset are predicted better"
     if against:
         better = len(falls) - len(against)
-        which = f"{better} of {len(falls)} datasets are better predicted, not those of {', '.join(against)}"
+        which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
     return (
-        f"With {diagnosis.effects[0]} the locked pushes of {which}. Their cost falls by"
-        f" {nats(diagnosis.fall)} nats in all."
+        f"With {diagnosis.effects[0]}, the locked pushes of {which}. Their total cost falls by"
+        f" {nats(diagnosis.fall)} nats."
     )
 
 

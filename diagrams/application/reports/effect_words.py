@@ -1,4 +1,4 @@
-"""Sizes of effects as a person would say them: a tilt in degrees and where it leads, not two slopes."""
+"""Sizes of effects in everyday terms: a tilt in degrees and its direction instead of two slopes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Estimates = Mapping[str, ParameterEstimate]
 
 @dataclass(frozen=True)
 class Reading:
-    """One number that a person asks for, with its 90 % interval, in the unit of its text."""
+    """One number of interest with its 90 % interval, in the unit of its text."""
 
     text: str  # with `{}` where the number goes, such as `tilt {}°`
     value: float
@@ -32,10 +32,10 @@ Reader = Callable[[Estimates, CellGrid], list[Reading]]
 
 
 def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: CellGrid) -> str:
-    """How large an effect is, in one line; the parameters as they are where there is no better way to say it.
+    """The size of an effect in one line; its plain parameters where there are no better words.
 
     Args:
-        grid: the object's, for what its size decides.
+        grid: the object's, whose size some effects depend on.
     """
     reader = READERS.get(name)
     if reader is None or not estimates:
@@ -64,7 +64,7 @@ def parameter_rows(
 
 
 def _at_an_end(value: float, parameter: Parameter) -> bool:
-    """Whether a value lies at an end of its range that only keeps the search within reason, as 0 does not."""
+    """Whether a value lies at a nonzero end of its range, which only bounds the search."""
     near = 0.01 * (parameter.high - parameter.low)
     ends = [end for end in (parameter.low, parameter.high) if end != 0.0]
     return any(abs(value - end) < near for end in ends)
@@ -76,7 +76,7 @@ def unit_text(unit: str) -> str:
 
 
 def shown_numbers(*values: float) -> tuple[str, ...]:
-    """Numbers of which the last two are an interval, with two figures of its width."""
+    """Numbers whose last two are an interval, rounded to two figures of its width."""
     width = abs(values[-1] - values[-2])
     size = width if np.isfinite(width) and width > 0 else max(map(abs, values))
     return tuple(f"{value:.{decimals(size)}f}" for value in values)
@@ -90,7 +90,7 @@ def _scaled(text: str, estimate: ParameterEstimate, factor: float) -> Reading:
 def _polar(
     x: ParameterEstimate, y: ParameterEstimate
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Length and direction (rad) of two parameters with their intervals, the two taken as independent."""
+    """Length and direction (rad) of two parameters, treated as independent, with their intervals."""
     length = float(np.hypot(x.value, y.value))
     spread_x, spread_y = 0.5 * (x.high - x.low), 0.5 * (y.high - y.low)
     angle = float(np.arctan2(y.value, x.value))
@@ -102,7 +102,7 @@ def _polar(
 
 
 def _direction(text: str, angle: tuple[float, float, float], factor: float = 1.0) -> list[Reading]:
-    """A direction in degrees; nothing where it might as well be the opposite one."""
+    """A direction in degrees; nothing where its interval exceeds half a turn."""
     if angle[2] - angle[1] > np.pi:
         return []
     value, low, high = (float(np.degrees(factor * a)) for a in angle)
@@ -130,14 +130,14 @@ def _grain(where: str) -> Reader:
 
 def _viscous(p: Estimates, grid: CellGrid) -> list[Reading]:
     area = len(grid) * grid.width**2
-    return [_scaled("drag {} N for each 100 mm/s of the whole object", p["drag_per_area"], 0.1 * area)]
+    return [_scaled("a drag of {} N on the whole object per 100 mm/s", p["drag_per_area"], 0.1 * area)]
 
 
 def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
     gradient, angle = _polar(p["gradient_x"], p["gradient_y"])
     factor = [float(np.exp(value)) for value in (p["patch"].value, p["patch"].low, p["patch"].high)]
     readings = [
-        Reading("friction rises by {} % each 100 mm", *(10.0 * value for value in gradient)),
+        Reading("friction rises by {} % per 100 mm", *(10.0 * value for value in gradient)),
         *_direction("towards {}°", angle),
         Reading("{} times as high on a round patch", *factor),
     ]
@@ -145,7 +145,7 @@ def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
         return readings
     return [
         *readings,
-        _scaled("its middle at x {} mm", p["patch_x"], 1e3),
+        _scaled("its centre at x {} mm", p["patch_x"], 1e3),
         _scaled("y {} mm", p["patch_y"], 1e3),
         _scaled("its radius {} mm", p["patch_radius"], 1e3),
     ]
@@ -164,9 +164,9 @@ def _late(what: str) -> Reader:
 def _shift(p: Estimates, grid: CellGrid) -> list[Reading]:
     return [
         _scaled("poses lie {} mm", p["x"], 1e3),
-        _scaled("{} mm (x, y) off where the finger's record has them", p["y"], 1e3),
+        _scaled("{} mm (x, y) off from where the finger's record puts them", p["y"], 1e3),
         _scaled("turned by {}° about the world's origin", p["angle"], 180.0 / np.pi),
-        _scaled("or else the finger's recorded point is off its centre by {} mm", p["x"], -1e3),
+        _scaled("or the finger's recorded point is off its centre by {} mm", p["x"], -1e3),
         _scaled("{} mm", p["y"], -1e3),
     ]
 
@@ -180,7 +180,7 @@ def _force_frame(p: Estimates, grid: CellGrid) -> list[Reading]:
 
 
 def _each(*readings: tuple[str, str, float]) -> Reader:
-    """Reads parameters one by one; each reading is a text, a parameter and a factor on it."""
+    """Reads parameters one by one; each reading is a text, a parameter and a factor for it."""
     return lambda p, grid: [_scaled(text, p[name], factor) for text, name, factor in readings]
 
 
@@ -191,32 +191,32 @@ READERS: dict[str, Reader] = {
     "viscous_friction": _viscous,
     "stribeck_friction": _each(
         ("friction at rest {} % above that of fast sliding", "excess", 100.0),
-        ("most of it lost by {} mm/s", "speed", 1e3),
+        ("most of it gone by {} mm/s", "speed", 1e3),
     ),
     "table_friction_field": _field,
     "tether": _each(
-        ("a pull of {} N for each 100 mm", "stiffness", 0.1),
+        ("a pull of {} N per 100 mm", "stiffness", 0.1),
         ("towards x {} mm", "anchor_x", 1e3),
         ("y {} mm", "anchor_y", 1e3),
         ("beyond {} mm of slack", "slack", 1e3),
     ),
     "sensor_latency": _late("the tracker"),
-    "friction_drift": _each(("friction changes by {} % a push", "rate", 100.0)),
-    "finger_compliance": _each(("the tip gives {} mm for each newton", "compliance", 1e3)),
+    "friction_drift": _each(("friction changes by {} % per push", "rate", 100.0)),
+    "finger_compliance": _each(("the tip gives {} mm per newton", "compliance", 1e3)),
     "loose_mass": _each(
         ("{} % of the mass is loose", "share", 100.0),
-        ("swinging {} times a second", "rate", 0.5 / np.pi),
+        ("oscillating at {} Hz", "rate", 0.5 / np.pi),
         ("damping ratio {}", "damping", 1.0),
     ),
     "load_transfer": _each(
         ("pushed {} mm above the table", "push_height", 1e3),
         ("centre of mass {} mm above it", "mass_height", 1e3),
     ),
-    "impulse_friction": _each(("friction leans {} % as far as in Bullet", "share", 100.0)),
+    "impulse_friction": _each(("friction deviates {} % as much as in Bullet", "share", 100.0)),
     "friction_diamond": _each(("{} % of the way from a cone to a diamond", "share", 100.0)),
     "friction_square": _each(("{} % of the way from a cone to a square", "share", 100.0)),
     "slip_load": _each(("{} % of the load follows slip in a spin", "share", 100.0)),
-    "torsional_friction": _each(("a torque of the weight at {} mm against every spin", "radius", 1e3)),
+    "torsional_friction": _each(("a torque of the weight times {} mm against every spin", "radius", 1e3)),
     "skate": _each(
         ("sideways resistance {} % of the weight", "resistance", 100.0),
         ("rolling along {}° of the object", "angle", 180.0 / np.pi),
@@ -237,4 +237,4 @@ READERS: dict[str, Reader] = {
     ),
     "force_latency": _late("the force"),
 }
-"""Effects of the library, each with a way to say its size."""
+"""Readers that put the size of each library effect into words."""

@@ -1,7 +1,7 @@
-"""HTML pages: sections put together into one file with styles, scripts and data inside.
+"""HTML pages: sections assembled into one file with styles, scripts and data inside.
 
-The template `page.html` is filled by hand: an engine for templates would be a further dependency, and its
-templates, with what loads them, no shorter than the few functions here.
+The template `page.html` is filled without a template engine, which would be another dependency and save no
+code here.
 """
 
 import base64
@@ -29,8 +29,8 @@ class Section:
     key: str  # identifies it in links and in the data
     title: str
     body: str
-    data: Mapping[str, Any] = field(default_factory=dict)  # what its scripts need, JSON-able
-    script: str = ""  # name of a script in this folder that gives its body life; empty for none
+    data: Mapping[str, Any] = field(default_factory=dict)  # for its scripts, JSON-serialisable
+    script: str = ""  # name of its script in this folder; empty for none
 
 
 def page(
@@ -39,13 +39,13 @@ def page(
     """A whole HTML document.
 
     Args:
-        subtitle: a line below it: what was compared, when and with what.
-        lead: paragraphs that say what was found, the most important first.
-        sections: in the order of reading; keys must differ.
+        subtitle: a line below the title: what was compared, and with what.
+        lead: paragraphs with the findings, the most important first.
+        sections: in reading order; keys must differ.
         headline: a sentence in large letters above the lead.
 
     Raises:
-        ValueError: two sections have one key.
+        ValueError: two sections have the same key.
     """
     keys = [section.key for section in sections]
     if len(set(keys)) < len(keys):
@@ -73,7 +73,7 @@ def page(
 
 
 def _words(text: str) -> str:
-    """Text with what stands in backquotes as code."""
+    """HTML of a text, with backquoted parts as code."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
@@ -83,11 +83,11 @@ def part(name: str) -> str:
 
 
 def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
-    """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere.
+    """An `img` element with the figure as SVG; letters are drawn as paths, to look the same everywhere.
 
     Args:
         alternative: what it shows, for those who cannot see it.
-        wide: as wide as the page, instead of its own width at most.
+        wide: whether it fills the width of the page instead of keeping its own.
     """
     stream = io.BytesIO()
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
@@ -114,7 +114,7 @@ def table(
 
     Args:
         numbers: columns to align on the right.
-        marked: for each row whether it is to stand out.
+        marked: for each row, whether it is highlighted.
         caption: sentence above it.
     """
     kinds = [' class="number"' if k in numbers else "" for k in range(len(columns))]

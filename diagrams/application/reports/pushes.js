@@ -14,7 +14,7 @@
     if (parent) parent.appendChild(made);
     return made;
   }
-  // The picture's y axis points down, the table's up: y is turned once, here.
+  // The picture's y axis points down, the table's up: y is negated once, here.
   const pair = (p) => p[0].toFixed(5) + "," + (-p[1]).toFixed(5);
   const line = (points) => points.map(pair).join(" ");
   function place(point, pose) {
@@ -66,7 +66,7 @@
       }
     }
     data.pushes.forEach((push, index) => {
-      // Between two measured poses nothing is known: dashes.
+      // Between only two measured poses nothing is known: dashes.
       const dash = push.times.length === 2 ? [2.5 * thin, 2 * thin].join(" ") : "none";
       const group = element("g", { "stroke-dasharray": dash, "stroke-linecap": "round", "stroke-linejoin": "round", fill: "none" }, map);
       element("polyline", { points: line(track(push.measured)), stroke: INK, "stroke-width": thin }, group);
@@ -74,7 +74,7 @@
         element("polyline", { points: line(track(poses)), stroke: COLOURS[k], "stroke-width": thin }, group));
       const start = track(push.measured)[0];
       element("circle", { cx: start[0], cy: -start[1], r: 1.3 * thin, fill: INK, stroke: "none" }, group);
-      // A wide invisible line is easier to meet with the pointer.
+      // A wide invisible line is easier to hit with the pointer.
       const area = element("polyline", { points: line(track(push.measured)), stroke: "transparent",
         "stroke-width": 7 * thin, "pointer-events": "stroke", style: "cursor:pointer" }, group);
       area.addEventListener("mouseenter", () => near(index));
@@ -150,7 +150,7 @@
     const most = 1000 * top / 1.08;
     text((most < 10 ? most.toPrecision(2) : most.toFixed(0)) + " mm", left - 5, y(top / 1.08) + 4, "end");
     text("0", left - 5, y(0) + 4, "end");
-    text("ADD", left + 6, 14, "start");
+    text("error (ADD)", left + 6, 14, "start");
     text(end.toFixed(1) + " s", wide - 8, high - 4, "end");
     if (data.floor) {
       element("path", { d: `M${left},${y(data.floor)}H${wide - 8}`, stroke: INK, "stroke-dasharray": "4 3", fill: "none" }, course);
@@ -180,7 +180,7 @@
     }
     const off = push.add.map((values, k) => data.labels[k] + " " + (1000 * values[index]).toFixed(2) + " mm");
     moving.cursor(push.times[index]);
-    readout.textContent = "t = " + push.times[index].toFixed(2) + " s.  ADD: " + off.join(", ") + "."
+    readout.textContent = "t = " + push.times[index].toFixed(2) + " s.  Error (ADD): " + off.join(", ") + "."
       + (push.times.length === 2 ? " Only the first and the last pose were measured." : "");
   }
   function stop() {
@@ -237,7 +237,7 @@
 
   drawMap();
   choose(data.first);
-  // Its letters would be scaled with the window.
+  // Otherwise its letters would scale with the window.
   new ResizeObserver(() => {
     moving.cursor = drawCourse(data.pushes[chosen]);
     moving.cursor(data.pushes[chosen].times[sample]);

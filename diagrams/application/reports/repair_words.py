@@ -1,4 +1,4 @@
-"""How a robot repaired its model on the way, in words."""
+"""How a robot repaired its model during a run, in words."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from slipmap.diagrams.systems.diagnosis import FAILED, TRIED, Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 
 _DID = {
-    "adopts": "The model was given {effects} from then on.",
+    "adopts": "From then on, the model included {effects}.",
     "keeps": "The model kept {effects}.",
-    "drops": "The effect that was added was dropped: it did not explain the pushes after all.",
+    "drops": "The added effect was dropped: it did not explain the pushes after all.",
     "pushes on": "The robot made another push to find out.",
-    "goes on without": "The robot went on with the model it had.",
+    "goes on without": "The robot continued with the model it had.",
 }
 
 
 def repair_story(repair: Repair, watch: Watch) -> list[str]:
-    """Sentences: each diagnosis and what was done about it, then by how much the error fell."""
+    """Sentences on each diagnosis and the action taken, then on how much the error fell."""
     if not repair.findings:
-        return ["The model was not repaired: no push gave cause to look into it."]
+        return ["The model was not repaired: no push gave cause for a diagnosis."]
     said = [_finding(finding) for finding in repair.findings]
     said += _widening(repair.findings[-1], watch.judged)
     after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
     before = [push for push in watch.judged if push not in after]
     if repair.effects and before and after:
         said.append(
-            f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}, each predicted"
-            " before it was made."
+            f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}. Each push was"
+            " predicted before it was made."
         )
     return said
 
@@ -41,14 +41,14 @@ def _finding(finding: Finding) -> str:
 
 
 def _widening(last: Finding, judged: Sequence[Judged]) -> list[str]:
-    """How much wider intervals are since something that no effect names surprised, where that was the end."""
+    """How much wider intervals became, where the run ended with surprises that no effect explains."""
     before = [push.allowed for push in judged if push.trial < last.pushes]
     after = [push.allowed for push in judged if push.trial >= last.pushes]
     if last.verdict != "unknown" or last.action != "goes on without" or not before or not after:
         return []
     return [
-        "What it cannot name counts as an error of the model: pushes may end"
-        f" {1e3 * median(after):.1f} mm off before they surprise, in the median; before,"
+        "What no effect explains counts as model error: pushes now count as surprising beyond"
+        f" {1e3 * median(after):.1f} mm (median); before, beyond"
         f" {1e3 * before[-1]:.1f} mm."
     ]
 
@@ -57,7 +57,7 @@ def _errors(judged: Sequence[Judged]) -> str:
     off = 1e3 * median(push.error for push in judged)
     share = median(push.error / push.moved for push in judged)
     count = f"{len(judged)} push{'es' * (len(judged) > 1)}"
-    return f"{count} ended {off:.1f} mm off in the median, {share:.0%} of how far they moved the object"
+    return f"{count} ended {off:.1f} mm off (median), {share:.0%} of how far they moved the object"
 
 
 def _names(effects: Sequence[str]) -> str:

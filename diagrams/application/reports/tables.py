@@ -1,4 +1,4 @@
-"""Tables that tell a person what an identification or a prediction found."""
+"""Tables on the terminal of what an identification, a prediction or a comparison found."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,14 +15,14 @@ from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import PushDataset
 
 _SENSITIVE = 10.0
-"""Metres that the end moves for a metre at the start, from which a push is called near to balance."""
+"""Displacement of the end per displacement of the start, from which a push is called sensitive."""
 
 _FEWEST_JUDGES = 3
-"""Held-out pushes below which nothing is said of them together."""
+"""Fewest held-out pushes for a statement about them together."""
 
 _MUCH_FARTHER = 2.0
-"""Errors over spreads, the median of held-out pushes: 0.6 to 1.7 where the model has what made the pushes, in
-nine recorded sets; 2.2 to 3.2 with hidden effects, and on real pushes that the maps do not explain."""
+"""Median ratio of error to spread over held-out pushes: 0.6 to 1.7 in nine recorded sets with a correct
+model; 2.2 to 3.2 with hidden effects, and for real pushes that the maps do not explain."""
 
 HARDLY_BETTER = 0.8
 
@@ -32,17 +32,17 @@ _MEASURES = ("final_add", "uniform_add", "no_motion_add")
 _SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
 _LAW_WORDS = {
     PLAIN: "plain (each cell carries its own weight)",
-    "load_transfer": "load_transfer (pushing loads the front)",
-    "impulse_friction": "impulse_friction (friction leans as in a simulator's impulses)",
+    "load_transfer": "load_transfer (pushing shifts load between cells)",
+    "impulse_friction": "impulse_friction (friction along x and y solved as impulses, as in simulators)",
 }
-"""Laws of `slipmap.models.inference.friction_laws` with at most one effect, for a person."""
+"""Laws of `slipmap.models.inference.friction_laws` with at most one effect, in words."""
 
 
 def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str | None) -> None:
-    """How far off predicted ends are: by role, against two baselines, push by push, and what that means.
+    """Print errors of predicted ends by role beside two baselines, then push by push, with doubts.
 
     Args:
-        where: the dataset as a command takes it; None where the caller tells of surprising pushes.
+        where: the dataset as a command takes it; None where the caller prints surprising pushes itself.
     """
     rows = []
     for role, name in phrases.ROLES.items():
@@ -52,7 +52,7 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str |
                 numbers = [average([getattr(push, of) for push in group]) for of in _MEASURES]
                 rows.append([f"{len(group)} {name}", label, *map(_millimetres, numbers)])
     table(
-        "Error at the end of a push (ADD: mean distance of the cells), mm",
+        "Error at the end of a push, mm (ADD: mean distance of the cells)",
         ["pushes", "", "this belief", "uniform object", "object does not move"],
         rows,
         numbers=(2, 3, 4),
@@ -65,7 +65,7 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str |
 
 
 def show_surprises(pushes: Sequence[Prediction], where: str) -> None:
-    """Say which of the pushes that judge (all where none is held out) missed by more than their intervals."""
+    """Print which held-out pushes (all where none is held out) ended outside their intervals."""
     held = [push for push in pushes if push.role == "heldout"]
     found = phrases.surprises(held or pushes)
     if found.text:
@@ -73,26 +73,26 @@ def show_surprises(pushes: Sequence[Prediction], where: str) -> None:
 
 
 def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
-    """Whether held-out pushes end much farther off than a belief allows for, see `doubts`."""
+    """Whether held-out pushes end much farther off than the belief allows, see `doubts`."""
     held = [push for push in pushes if push.role == "heldout"]
     return len(held) >= _FEWEST_JUDGES and _excess(held, dataset) > _MUCH_FARTHER
 
 
 def _excess(held: Sequence[Prediction], dataset: PushDataset) -> float:
-    """Median of the errors over what hypotheses differ by and sensors err."""
+    """Median ratio of the error to the spread of the hypotheses and the sensors' noise."""
     floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
     expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
     return float(np.median([push.final_add for push in held] / np.maximum(expected, 1e-6)))
 
 
 def show_friction_laws(shares: Mapping[str, float]) -> None:
-    """Which laws of friction the hypotheses follow, where it is not the plain one alone."""
+    """Print the probabilities of the laws of friction, unless the plain law is the only one."""
     if not set(shares) - {PLAIN}:
         return
     words = [f"{100 * share:.0f} % {_law_in_words(name)}" for name, share in shares.items()]
     paragraph(
-        f"Laws of friction, by what these pushes speak for: {'; '.join(words)}. `slipmap effects NAME`"
-        " explains an effect."
+        f"Probabilities of the laws of friction after these pushes: {'; '.join(words)}. `slipmap effects"
+        " NAME` explains an effect."
     )
     click.echo()
 
@@ -103,8 +103,8 @@ def _law_in_words(name: str) -> str:
 
 
 def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
-    """What held-out pushes say against a belief: errors far beyond its own spread and the sensors' noise, or
-    no smaller than those of a uniform object."""
+    """Doubts that held-out pushes cast on a belief: errors far beyond its spread and the sensors' noise, or
+    hardly smaller than those of a uniform object."""
     held = [push for push in pushes if push.role == "heldout"]
     if len(held) < _FEWEST_JUDGES:
         return []
@@ -112,15 +112,15 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
     found = []
     if is_doubted(pushes, dataset):
         found.append(
-            f"Held-out pushes end {_excess(held, dataset):.1f} times as far off (median) as hypotheses differ"
-            " and sensors err. The intervals assume that the model is right and do not cover that; `slipmap"
-            " diagnose` asks what it misses."
+            f"The errors of held-out pushes are {_excess(held, dataset):.1f} times (median) what the spread"
+            " of the hypotheses and the sensors' noise explain. The intervals assume that the model is right"
+            " and do not cover this; `slipmap diagnose` looks for what it misses."
         )
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:
         found.append(
-            f"A uniform object predicts them about as well ({1e3 * uniform:.1f} mm, the"
-            f" belief {1e3 * errors.mean():.1f} mm): these pushes hardly test the maps."
+            f"Held-out pushes hardly test the maps: a uniform object predicts them about as well or better"
+            f" ({1e3 * uniform:.1f} mm; the belief {1e3 * errors.mean():.1f} mm)."
         )
     return found
 
@@ -138,9 +138,10 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
         ]
         for push in shown
     ]
-    worst = f"The {len(shown)} worst pushes of {len(pushes)}, mm (--json holds all)"
+    worst = f"The {len(shown)} worst of {len(pushes)} pushes (--json writes all)"
+    title = worst if len(shown) < len(pushes) else "Push by push"
     table(
-        worst if len(shown) < len(pushes) else "Push by push, mm",
+        f"{title}, mm (spread: of the hypotheses)",
         ["push", "role", "error", "spread", "uniform", "no motion", "remark"],
         rows,
         numbers=(2, 3, 4, 5),
@@ -148,18 +149,17 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
 
 
 def remark(push: Prediction) -> str:
-    """What a reader should know of a push that missed by more than its interval, or that starts near to
-    balance; empty for others."""
+    """Remark on a push that ended outside its interval or is sensitive to its start; empty for others."""
     said = []
     if push.surprising:
-        said.append(f"SURPRISING: {_millimetres(push.allowed_add)} mm expected at most")
+        said.append(f"SURPRISING: at most {_millimetres(push.allowed_add)} mm expected")
     if push.start_sensitivity >= _SENSITIVE:
-        said.append(f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm")
+        said.append(f"sensitive: 0.5 mm at the start moves the end by {0.5 * push.start_sensitivity:.0f} mm")
     return "; ".join(said)
 
 
 def show_comparison(results: Sequence[Comparison]) -> None:
-    """Means of the errors by role beside the baselines, and what the residuals depend on."""
+    """Print mean errors by role beside the baselines, and what the residuals depend on."""
     first, rows = results[0], []
     for role, totals in first.totals.items():
         models = [(result.label, result.totals[role].model) for result in results]
@@ -169,7 +169,7 @@ def show_comparison(results: Sequence[Comparison]) -> None:
     if first.floor is not None:
         floor = f"; noise floor {phrases.millimetres(first.floor.add)} mm ({first.floor.source})"
     table(
-        f"Mean errors, mm: ADD at the end and on average, position{floor}",
+        f"Mean errors, mm (end, average: ADD, mean distance of cells){floor}",
         ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
         rows,
         numbers=range(1, 7),
@@ -186,8 +186,8 @@ def _show_patterns(result: Comparison, head: str) -> None:
     ]
     tests = len(result.structure)
     table(
-        f"What the remaining error depends on{head}: the surest of {tests} tests (* significant)",
-        ["of", "", "size", "p"],
+        f"What the remaining error depends on{head}: strongest of {tests} tests (* significant)",
+        ["error in", "depends on", "size", "p"],
         [
             [
                 phrases.QUANTITIES[pattern.quantity],
@@ -208,15 +208,15 @@ def _errors(errors: Errors) -> list[str]:
 
 
 def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
-    """Value, 90 % interval and reason, first what the pushes show, then what they leave open.
+    """Print value, 90 % interval and reason: first what the pushes show, then what they leave open.
 
     Args:
-        doubted: whether its predictions do not hold, see `is_doubted`.
+        doubted: whether the predictions are too far off, see `is_doubted`.
     """
     condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"
     for by_pushes, title in (
-        (True, f"{condition} by these pushes (less than half as wide as without them), or given"),
-        (False, "Left open by these pushes: here prior knowledge decides"),
+        (True, f"{condition} by these pushes (interval under half as wide as without them), or given"),
+        (False, "Left open by these pushes: the prior decides"),
     ):
         rows = [
             [named(quantity), *shown(quantity, quantity.value), quantity.reason]
@@ -228,15 +228,15 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
 
 
 def named(quantity: Quantity) -> str:
-    """Name and the unit in which `shown` gives its numbers."""
+    """Name of a quantity, with the unit in which `shown` gives its numbers."""
     unit, _ = _SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
     return f"{quantity.name}, {unit}" if unit else quantity.name
 
 
 def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
-    """Values of a quantity (SI) and last its interval, with as many digits as the interval makes sense of.
+    """Values of a quantity (SI) and its interval last, with as many digits as the interval justifies.
 
-    An interval that spans decades gets two figures for each number instead.
+    Where the interval spans decades, each number has two significant figures instead.
     """
     _, factor = _SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
     low, high = factor * quantity.low, factor * quantity.high

@@ -1,1 +1,1 @@
-"""Studies that take long: blind tests of the diagnosis."""
+"""Long-running studies: calibration of intervals and blind tests of the diagnosis."""

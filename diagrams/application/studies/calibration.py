@@ -1,11 +1,10 @@
-"""Does a 90 % interval hold the truth nine times in ten? Identify many simulated objects and count.
+"""Whether 90 % intervals contain the truth nine times in ten, over many simulated objects.
 
-Objects, maps and pushes are drawn at random, so that ranks of the truth among hypotheses are uniform for a
-calibrated belief (Talts et al., 2018). Maps are of every kind in turn: two materials with a sharp border, as
-in most objects of the paper; even; varying smoothly; standing on three to five feet; a middle that weighs
-next to nothing. Masses differ up to a thousand-fold, frictions up to four-fold; three to ten pushes teach,
-every fourth object is pushed without a force sensor, and the noise that is declared is right, half or double.
-The truth is then looked up in the intervals of a belief that is learnt as `slipmap identify` does.
+Objects, maps and pushes are random, so the ranks of the truth among hypotheses are uniform for a calibrated
+belief (Talts et al., 2018). The kinds of maps take turns: two materials with a sharp border, as in most
+objects of the paper; even; smooth; three to five feet; an almost massless middle. Cell masses differ by up
+to a factor of 1000, frictions by up to 4. A belief is learnt from three to ten pushes as by `slipmap
+identify`; every fourth object, on average, has no force sensor; the declared noise is right, half or double.
 """
 
 from __future__ import annotations
@@ -37,16 +36,15 @@ KINDS = ("two materials", "even", "smooth", "feet", "light middle")
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """How often intervals held the truth."""
+    """How often intervals contained the truth."""
 
-    objects: int  # how many were identified
+    objects: int  # number of identified objects
     seed: int  # of every draw
-    seconds: float  # taken
-    coverage: dict[str, float]  # share of 90 % intervals that held the truth, by quantity
-    # (m,) for each quantity, the belief's cumulative probability at the truth, uniform in [0, 1] for a
-    # calibrated belief
+    seconds: float  # duration
+    coverage: dict[str, float]  # share of 90 % intervals that contain the truth, by quantity
+    # (m,) the belief's cumulative probability at the truth, by quantity; uniform in [0, 1] if calibrated
     ranks: dict[str, FloatArray] = field(repr=False)
-    # the coverage of objects of each of `KINDS` that was drawn
+    # coverage by kind of object, for those of `KINDS` that occurred
     by_kind: dict[str, dict[str, float]] = field(repr=False)
 
 
@@ -82,7 +80,7 @@ def calibrate(*, objects: int = 40, seed: int = 0, progress: Progress | None = N
 
 
 def _held(found: list[tuple[str, str, float]], name: str, kind: str | None) -> float:
-    """Share of the ranks of a quantity, of one kind or all, in the middle `LEVEL`."""
+    """Share of a quantity's ranks, of one kind or all, within the central `LEVEL`."""
     tail = 0.5 * (1.0 - LEVEL)
     ranks = [rank for k, n, rank in found if n == name and kind in (None, k)]
     return float(np.mean([tail < rank < 1.0 - tail for rank in ranks]))
@@ -118,7 +116,7 @@ def _one_object(rng: np.random.Generator, index: int, kind: str) -> list[tuple[s
 
 
 def _as_declared(dataset: PushDataset, factor: float, *, force: bool) -> PushDataset:
-    """The dataset with noise declared by a factor off, and with or without its channel of force."""
+    """The dataset with its declared noise scaled by a factor, with or without its force channel."""
     noise = Noise(**{name: value and value * factor for name, value in vars(dataset.noise).items()})
     trials = dataset.trials if force else tuple(replace(one, ft_wrench=None) for one in dataset.trials)
     return replace(dataset, noise=noise, trials=trials)
@@ -134,7 +132,7 @@ def _position_ranks(result: Identification, ends: FloatArray) -> list[tuple[str,
 
 
 def _rank(values: FloatArray, probability: FloatArray, truth: float, *, log: bool = False) -> float:
-    """Cumulative probability at the truth, of the same Student-t distribution that intervals are made of."""
+    """Cumulative probability at the truth of the Student-t distribution behind the intervals."""
     from scipy.stats import t
 
     _, low, high = interval(values, probability, level=LEVEL, log=log)
@@ -146,7 +144,7 @@ def _rank(values: FloatArray, probability: FloatArray, truth: float, *, log: boo
 
 
 def _random_object(rng: np.random.Generator) -> CellGrid:
-    """A rectangle, an L, a T or a wedge, 8 to 20 cm long."""
+    """A rectangle, L, T or wedge, 8 to 20 cm long."""
     a, b = rng.uniform(0.08, 0.2), rng.uniform(0.05, 0.12)
     p, q = rng.uniform(0.3, 0.6, 2)
     shapes = [
@@ -161,7 +159,7 @@ def _random_object(rng: np.random.Generator) -> CellGrid:
 
 
 def _random_maps(rng: np.random.Generator, grid: CellGrid, kind: str) -> Maps:
-    """Maps of a kind, of random scales."""
+    """Random maps of a kind with random scales."""
     places = (grid.centers - grid.centers.mean(axis=0)) / np.ptp(grid.centers, axis=0).max()
     n = len(places)
 

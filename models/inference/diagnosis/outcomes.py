@@ -111,8 +111,8 @@ def far_off(base: Fitted, misfit: float) -> Outcome:
     """No effect gains enough, but predictions are far off; `misfit` is that of the typical push."""
     sentence = (
         f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensor noise, and no effect"
-        " that was tried explains this. Check the frames, clocks and units of the sensors and the object's"
-        " outline, starting with any warnings that were given when the dataset was read."
+        " that was tried explains this. The cause may be an effect outside the library, the object's outline"
+        " or the recording; start with any warnings that were given when the dataset was read."
     )
     return Outcome("undecided", sentence, base)
 

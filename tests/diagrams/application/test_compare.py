@@ -67,7 +67,7 @@ def test_the_page_needs_nothing_else(single):
 def test_the_page_begins_with_what_was_found(single, learnt):
     parsed, _ = single
     _, _, result = learnt
-    assert parsed.text.index(summary(result)) < parsed.text.index("How far off")
+    assert parsed.text.index(summary(result)) < parsed.text.index("Prediction errors")
     assert finding(result) in parsed.text
     assert f"{1e3 * result.totals['heldout'].model.final_add:.1f} mm" in summary(result)
 
@@ -156,16 +156,16 @@ def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_tol
     wrong = replace(totals, model=errors, uniform=even)
     bad = replace(result, structure=quiet, totals={**result.totals, "heldout": wrong})
     said = headline(bad, "demo/pushes")
-    assert "23 times what the sensors alone leave, and 1 times the error of a uniform object" in said
-    assert said.endswith("`slipmap diagnose demo/pushes` asks which physical effect the model misses.")
-    assert "pattern beyond chance" not in finding(bad)
-    assert finding(bad).startswith("None of the conditions alone explains what is left")
+    assert "23 times what sensor noise alone explains, and 1 times the error of a uniform object" in said
+    assert said.endswith("diagnose demo/pushes` searches for the physical effect that the model misses.")
+    assert "significant pattern" not in finding(bad)
+    assert finding(bad).startswith("No single condition explains the remaining error")
     shown = Page(report([bad], dataset, "demo/pushes")).text
     large, others = said.replace("`", "").split(". ", maxsplit=1)
     assert shown.index(f"{large}.\n") < shown.index(others) < shown.index(summary(bad))
     better = replace(wrong, uniform=replace(even, final_add=30 * floor.add))
     fine = replace(bad, totals={**result.totals, "heldout": better})
-    assert headline(fine) == "" and "no pattern beyond chance" in finding(fine)
+    assert headline(fine) == "" and "no significant pattern" in finding(fine)
 
 
 def test_a_push_that_surprises_stands_in_the_headline(learnt):
@@ -186,11 +186,11 @@ def test_a_push_that_surprises_stands_in_the_headline(learnt):
 def test_patterns_in_words(learnt):
     pattern = replace(learnt[2].structure[0], quantity="force", factor="table_drift", p_corrected=0.001)
     down = replace(pattern, strongest="towards table y", size=-0.1)
-    assert sentence_part(down) == "the force is off towards table -y everywhere (10 %)"
+    assert sentence_part(down) == "the force is off everywhere, towards table -y (10 %)"
     late = replace(pattern, quantity="delay", factor="delay", size=0.06)
     assert sentence_part(late) == "measured poses come 60 ms late"
     found = finding(replace(learnt[2], structure=(down, late)))
-    assert found == f"What is left has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
+    assert found == f"The remaining error has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
 
 
 def test_long_names_of_pushes_stand_whole_below_their_errors(learnt):

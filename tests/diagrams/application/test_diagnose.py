@@ -129,7 +129,7 @@ def test_a_quick_look_leaves_a_report_only_where_asked(slipmap, tmp_path, monkey
     folder = write_dataset(replace(few, trials=few.trials[:3]), tmp_path / "few")
     monkeypatch.chdir(tmp_path)
     said = slipmap("diagnose", folder, "--quick")
-    assert said.code == 0 and "-o FILE asks for one" in said.err
+    assert said.code == 0 and "ask for one with -o FILE" in said.err
     assert not list(tmp_path.glob("*.html"))
     said = slipmap("diagnose", folder, "--quick", "-o", "diagnosis.html")
     assert said.code == 0 and (tmp_path / "diagnosis.html").exists()

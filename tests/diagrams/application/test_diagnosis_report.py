@@ -108,9 +108,10 @@ def test_sizes_in_the_units_of_a_person():
     assert "2.0 times as high on a round patch (1.5 to 3.0)" in field and "x 100 mm (90 to 110)" in field
     assert "towards" not in field  # a slope that may be none has no direction
     none = [estimate("patch", 0.0, -0.1, 0.1), *patch[1:]]
-    assert "middle" not in words("table_friction_field", *level, *none)
+    assert "centre" not in words("table_friction_field", *level, *none)
     # 24 cells of 1 cm² and 100 N s/m³ give 0.24 N s/m, at 100 mm/s 0.024 N.
-    assert "0.0240 N for each 100 mm/s" in words("viscous_friction", estimate("drag_per_area", 100, 90, 110))
+    drag = words("viscous_friction", estimate("drag_per_area", 100, 90, 110))
+    assert "0.0240 N on the whole object per 100 mm/s" in drag
     assert words("fan", estimate("blow", 0.5, 0.4, 0.6, "N")) == "blow 0.50 N (0.40 to 0.60)"
 
 
@@ -126,13 +127,13 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     assert of(pair, "skate") == "needed, together with table_tilt"
     assert (
         of(found, "tether", rejected_by="table_tilt", remaining_gain=859.3)
-        == "table_tilt on top gains 859 more"
+        == "table_tilt on top gains 859 nats more"
     )
     probed = of(found, "tether", rejected_by="force_by_time", remaining_gain=12.34)
-    assert probed == "“a force on the object that comes and goes with time” on top gains 12.3 more"
+    assert probed == "“a force on the object that comes and goes with time” on top gains 12.3 nats more"
     assert of(found, "tether") == "gains no more than chance"
     best = max(c.fitted_gain for c in found.candidates if c.fitted_gain is not None)
-    assert of(found, "tether", fitted_gain=best - 859.3) == "explains 859 less than the best"
+    assert of(found, "tether", fitted_gain=best - 859.3) == "explains 859 nats less than the best"
     assert of(replace(found, verdict="adequate", effects=()), "tether") == "gains no more than chance"
     undecided = replace(found, verdict="undecided", effects=(), motion_error=0.1)
     assert of(undecided, "tether") == "gains no more than chance"
@@ -200,13 +201,13 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
         "7.3 standard deviations",
     ):
         assert fact in page.text
-    assert dict(push_facts(PUSH))["rest half-way"] == "0.5 s"
-    assert "rest half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
+    assert dict(push_facts(PUSH))["pause half-way"] == "0.5 s"
+    assert "pause half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
     show_diagnosis(told, dataset, EFFECTS)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
     for text in (out, page.text):
-        assert found.sentence in text and "chance was not simulated" in " ".join(text.split())
+        assert found.sentence in text and "Chance was not simulated" in " ".join(text.split())
         assert "Push the object along +y & wait." in text
         assert f"{1e3 * found.before.path.mean():.1f}" in text
         assert f"{found.after.total_misfit:.2f}" in text

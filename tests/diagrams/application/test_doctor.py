@@ -37,9 +37,9 @@ def test_a_machine_that_cannot_render_is_told_what_to_install():
 
 
 def test_lcm_is_not_needed_but_told():
-    found = findings({"DrakeLcm": "AssertionError: what was sent was not heard"})["LCM by multicast"]
+    found = findings({"DrakeLcm": "AssertionError: the message sent was not received"})["LCM by multicast"]
     assert not found.needed and not found.ok
-    assert "not heard" in found.found and "ip route add 224.0.0.0/4 dev lo" in found.remedy
+    assert "not received" in found.found and "ip route add 224.0.0.0/4 dev lo" in found.remedy
 
 
 def test_nothing_leaves_this_computer():
@@ -49,7 +49,7 @@ def test_nothing_leaves_this_computer():
 def test_packages_of_wrong_version_or_none(monkeypatch):
     monkeypatch.setattr(health, "_required", lambda: ["numpy>=999", "slipmap-lacks-this>=1.2", "click>=8.1"])
     found = findings()
-    assert not found["numpy"].ok and ">=999 wanted" in found["numpy"].found
+    assert not found["numpy"].ok and ">=999 is needed" in found["numpy"].found
     assert found["numpy"].remedy == f"{sys.executable} -m pip install 'numpy>=999'"
     assert found["slipmap-lacks-this"].found.startswith("not installed")
     assert found["click"].ok

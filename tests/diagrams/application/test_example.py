@@ -41,7 +41,7 @@ def test_the_command_writes_it_and_replaces_nothing(written, capsys):
     assert read.warnings == () and len(read.trials) == len(shipped.trials) == 12
     assert np.array_equal(read.trials[3].object_pose.values, shipped.trials[3].object_pose.values)
     assert run(["example"]) == 2
-    assert "there are pushes already" in capsys.readouterr().err
+    assert "holds pushes already" in capsys.readouterr().err
 
 
 def test_the_readme_tells_what_comes_out(written, capsys):

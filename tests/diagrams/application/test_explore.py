@@ -183,7 +183,7 @@ def test_the_report_opens_in_a_browser(explored, browser):
     page = explored.folder / "out" / "report.html"
     seen = browser.opened(page, 'document.readyState === "complete" ? document.title : null')
     assert_legible(seen, page)
-    assert "model against measurement" in seen.answer
+    assert "model and measurement" in seen.answer
 
 
 def test_pushes_are_held_against_the_belief_before_them(explored):

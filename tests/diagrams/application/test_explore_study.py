@@ -45,7 +45,7 @@ def test_runs_of_another_study_are_refused(slipmap, tmp_path):
     assert said.code == 2 and "5 pushes and 3 checks" in said.err and "5 and 10" in " ".join(said.err.split())
     file.write_text("{}")
     said = slipmap("explore-study", "--object", "box", "--runs", 1, "-o", tmp_path)
-    assert said.code == 2 and "is no run of a study" in " ".join(said.err.split())
+    assert said.code == 2 and "is not a run of a study" in " ".join(said.err.split())
 
 
 def test_without_a_good_run_there_are_no_means(slipmap, tmp_path):
@@ -69,7 +69,7 @@ def test_ctrl_c_ends_the_study_and_is_no_result(slipmap, tmp_path, monkeypatch, 
     said = slipmap(*words, "--json", tmp_path / "study.json")
     assert (said.code, said.out) == (130, "")
     told = " ".join(said.err.split())
-    assert "box, seed 1" in told and "called again, the study goes on where it was" in told
+    assert "box, seed 1" in told and "run the same command again to continue the study" in told
     assert [path.name for path in tmp_path.iterdir()] == ["box-0.json"]
 
 
@@ -89,7 +89,7 @@ def test_a_real_ctrl_c_leaves_nothing_of_the_run(tmp_path):
             pytest.fail("it ended without a word of exploring")
         said = process.stderr.read()
         assert process.wait(timeout=60) == 130, said
-    assert "Traceback" not in said and "goes on where it was" in said
+    assert "Traceback" not in said and "to continue the study" in said
     assert not (tmp_path / "study").exists()
 
 

@@ -80,7 +80,7 @@ def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
     ]  # fmt: skip
     assert "40.0 %" in titles[1]
     labels = {axes.get_ylabel() for axes in figure.axes}
-    assert {"g a cell", "N a cell"} <= labels
+    assert {"g per cell", "N per cell"} <= labels
 
 
 def test_neither_a_cell_nor_a_map_leaves_all_others_pale():
@@ -253,7 +253,7 @@ def test_names_are_shown_as_they_are(belief, tmp_path):
     assert f"{COSTLY}: pushes as measured and as predicted" in written
     assert f"{COSTLY}, fit" in written
     written = words(maps_figure(replace(belief, dataset=COSTLY)), tmp_path / "maps.svg")
-    assert any(text.startswith(f"{COSTLY}: what 4 hypotheses say") for text in written)
+    assert any(text.startswith(f"{COSTLY}: belief with 4 hypotheses") for text in written)
     figure = curves_figure(COSTLY, {COSTLY: {COSTLY: [Estimate(0.01, 0.009, 0.011, 3)]}})
     assert words(figure, tmp_path / "curves.svg").count(COSTLY) == 3
 

@@ -1,4 +1,4 @@
-"""A command does not write over what it reads."""
+"""A command does not overwrite what it reads."""
 
 import os
 
@@ -18,7 +18,7 @@ def test_a_dataset_is_not_written_over(slipmap, tilted_folder, tmp_path):
         ),
     ):
         assert said.code == 2, said.err
-    assert "would write over what the command reads" in " ".join(said.err.split())
+    assert "would overwrite what the command reads" in " ".join(said.err.split())
     assert {path: path.read_bytes() for path in tilted_folder.rglob("*") if path.is_file()} == before
     assert not (tmp_path / "b.npz").exists()
 
@@ -29,7 +29,7 @@ def test_a_belief_and_a_result_are_not_written_over_each_other(slipmap, tilted_f
     said = slipmap("predict", tilted_folder, "--belief", belief, "-o", tmp_path / "p.png", "--json", belief)
     assert said.code == 2 and "--json" in said.err and belief.read_bytes() == b"learnt"
     said = slipmap("identify", tilted_folder, "-o", tmp_path / "new.npz", "--json", tmp_path / "new.npz")
-    assert said.code == 2 and "give each a file of its own" in " ".join(said.err.split())
+    assert said.code == 2 and "give each its own file" in " ".join(said.err.split())
     assert not (tmp_path / "new.npz").exists()
 
 

@@ -53,8 +53,8 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     without = fitted["without_effects"]["heldout_error_mean"]
     # Where pushes end the object rests, and a late tracker shows little.
     assert fitted["heldout_error_mean"] < 0.8 * without
-    assert f"without effects {millimetres(without)} mm" in " ".join(said.out.split())
-    assert "They speak for sensor_latency." in " ".join(said.out.split())
+    assert f"without sensor_latency, {millimetres(without)} mm" in " ".join(said.out.split())
+    assert "The pushes support sensor_latency." in " ".join(said.out.split())
     paired = fitted["misfit_with_over_without"]
     assert paired["verdict"] == "for" and paired["low"] < paired["ratio"] < paired["high"] < 1.0
     assert found["heldout_final_error_before"] == without == before["totals"]["heldout"]["model"]["final_add"]
@@ -68,9 +68,9 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
 @pytest.mark.parametrize(
     ("factors", "sentence"),
     [
-        ([0.5, 0.6, 0.4, 0.5], "They speak for table_tilt."),
-        ([0.5, 1.6, 0.7, 1.3], "They do not tell whether table_tilt is there"),
-        ([1.5, 1.6, 1.3, 1.8], "THEY SPEAK AGAINST table_tilt."),
+        ([0.5, 0.6, 0.4, 0.5], "The pushes support table_tilt."),
+        ([0.5, 1.6, 0.7, 1.3], "The pushes do not show whether table_tilt is present"),
+        ([1.5, 1.6, 1.3, 1.8], "THE PUSHES SPEAK AGAINST table_tilt."),
     ],
 )
 def test_pushes_speak_for_an_effect_only_where_they_agree(capsys, factors, sentence) -> None:  # type: ignore[no-untyped-def]

@@ -99,7 +99,7 @@ def test_a_recording_without_room_is_lost_alone(tmp_path):
     """The folder of the recording is gone; so would be room on a disk that is full."""
     cell = CellRun(False, "", False, tmp_path / "gone" / "run.html", tmp_path / "out")
     meshcat = SimpleNamespace(PublishRecording=lambda: None, StaticHtml=lambda: "<html>")
-    with pytest.raises(BadInput, match=r"cannot write .*run\.html.*recording alone is lost.*--resume .*out"):
+    with pytest.raises(BadInput, match=r"cannot write .*run\.html.*recording is lost.*--resume .*out"):
         cell.keep_recording(meshcat)
 
 

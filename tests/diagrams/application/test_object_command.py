@@ -79,7 +79,7 @@ def test_a_small_opening_is_not_closed_without_a_word(slipmap, tmp_path):
 def test_an_axis_and_a_large_object_are_asked_about(slipmap, tmp_path, bracket):
     _, said = described(slipmap, tmp_path, bracket, "--metres-per-unit", 0.01, "--up", "y")
     assert said.out.startswith("bracket: 1200 mm by 200 mm, 800 mm high with y up")
-    assert "is 1.2 m large; if that is wrong" in said.err and "0.001 (mm) gives 120 mm" in said.err
+    assert "is 1.2 m wide; if that is wrong" in said.err and "0.001 (mm) gives 120 mm" in said.err
 
 
 def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
@@ -87,7 +87,9 @@ def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
     assert_refused(
         slipmap("object", bracket, *output), "bracket.stl", "--metres-per-unit 0.001 (mm) gives 120 mm"
     )
-    assert_refused(slipmap("object", bracket, "--metres-per-pixel", 1e-3, *output), "is no picture", ".png")
+    assert_refused(
+        slipmap("object", bracket, "--metres-per-pixel", 1e-3, *output), "is not a picture", ".png"
+    )
     (tmp_path / "a.png").write_bytes(b"")
     assert_refused(slipmap("object", tmp_path / "a.png", *output), "a.png", "give --metres-per-pixel")
     assert_refused(slipmap("object", tmp_path / "no.stl", *output), "no.stl", "no such file")

@@ -191,7 +191,7 @@ def test_tables_break_no_word_on_a_narrow_terminal(capsys, monkeypatch, width):
 def test_a_push_near_to_balance_gets_a_remark():
     assert remark(prediction(start_sensitivity=9.9)) == ""
     assert remark(prediction(start_sensitivity=float("nan"))) == ""
-    assert "half a millimetre decides" in remark(prediction(start_sensitivity=24.0))
+    assert "0.5 mm at the start moves the end by 12 mm" in remark(prediction(start_sensitivity=24.0))
     assert "12 mm" in remark(prediction(start_sensitivity=24.0))
 
 
@@ -235,9 +235,9 @@ def test_one_push_that_misses_by_more_than_its_interval_is_told(capsys):
     out = capsys.readouterr().out
     said = " ".join(out.split())
     assert "SURPRISING: push 001 ended 22.0 mm from its prediction" in said
-    assert "95 % of such pushes end within 2.2 mm" in said
+    assert "95 % of such pushes should end within 2.2 mm" in said
     assert "`slipmap diagnose demo/pushes`" in said
-    assert "SURPRISING: 2.2 mm expected at most" in remark(wrong)
+    assert "SURPRISING: at most 2.2 mm expected" in remark(wrong)
     show_errors([usual, prediction(role="heldout")], recorded_by(Noise()), "demo/pushes")
     assert "diagnose" not in capsys.readouterr().out
 
@@ -246,7 +246,7 @@ def test_as_many_surprises_as_chance_has_send_nobody_to_diagnose():
     usual = [prediction(f"trials/{k:03d}.json", "heldout") for k in range(29)]
     barely = prediction("trials/030.json", "heldout", final_add=0.004, excess=1.05)
     found = surprises([*usual, barely])
-    assert not found.beyond_chance and "Of 30 pushes of a right model 2 may" in found.text
+    assert not found.beyond_chance and "With a correct model, 2 of 30 pushes may" in found.text
     far = prediction("trials/030.json", "heldout", final_add=0.004, excess=2.0)
     assert surprises([*usual, far]).beyond_chance
     assert surprises([*usual[:10], *[barely] * 3]).beyond_chance
@@ -256,7 +256,7 @@ def test_as_many_surprises_as_chance_has_send_nobody_to_diagnose():
 def test_a_belief_no_better_than_a_uniform_object_is_told():
     held = [prediction(role="heldout", final_add=0.004, uniform_add=0.0045) for _ in range(3)]
     (said,) = doubts(held, recorded_by(Noise()))
-    assert "4.5 mm, the belief 4.0 mm" in said
+    assert "4.5 mm; the belief 4.0 mm" in said
     better = [prediction(role="heldout", final_add=0.004, uniform_add=0.0055) for _ in range(3)]
     assert doubts(better, recorded_by(Noise())) == []
 
@@ -265,7 +265,7 @@ def test_many_pushes_are_cut_to_the_worst(capsys):
     pushes = [prediction(f"trials/{k:03d}.json", final_add=1e-3 * (k % 50)) for k in range(50)]
     show_errors(pushes, recorded_by(Noise()), "pushes")
     out = capsys.readouterr().out
-    assert "30 worst pushes of 50" in out
+    assert "30 worst of 50 pushes" in out
     rows = [line.split()[0] for line in out.splitlines() if " fit " in line and line[:3].isdigit()]
     assert rows == [f"{k:03d}" for k in range(49, 19, -1)]
 

@@ -34,14 +34,14 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
     first, second, third = repair_story(Repair(6, TILT, 8, findings), seen)
     assert first.startswith("After push 5, diagnosis: Too little is seen.")
     assert first.endswith("made another push to find out.")
-    assert second.endswith("lacks one effect: table_tilt. The model was given table_tilt from then on.")
-    assert "3 pushes ended 24.0 mm off in the median, 24% of how far they moved the object" in third
-    assert "with table_tilt, 3 pushes ended 4.0 mm off in the median, 4% of how" in third
+    assert second.endswith("lacks one effect: table_tilt. From then on, the model included table_tilt.")
+    assert "3 pushes ended 24.0 mm off (median), 24% of how far they moved the object" in third
+    assert "with table_tilt, 3 pushes ended 4.0 mm off (median), 4% of how" in third
 
 
 def test_without_an_effect_no_fall_is_claimed():
     assert repair_story(Repair(5), watch((0.01, ()))) == [
-        "The model was not repaired: no push gave cause to look into it."
+        "The model was not repaired: no push gave cause for a diagnosis."
     ]
     dropped = Finding(7, "undecided", "Too little is seen.", (), "drops")
     (said,) = repair_story(Repair(7, (), 7, (dropped,)), watch((0.02, TILT), (0.03, ())))
@@ -53,7 +53,7 @@ def test_what_has_no_name_widens_intervals_and_that_is_said():
     seen = watch((0.02, ()), (0.03, ()), (0.02, ()))
     pushes = tuple(replace(push, allowed=0.006 if push.trial < 3 else 0.025) for push in seen.judged)
     said = repair_story(Repair(3, (), 0, (unknown,)), replace(seen, judged=pushes))
-    assert said[-1].endswith("may end 25.0 mm off before they surprise, in the median; before, 6.0 mm.")
+    assert said[-1].endswith("count as surprising beyond 25.0 mm (median); before, beyond 6.0 mm.")
     assert len(repair_story(Repair(3, (), 0, (unknown,)), replace(seen, judged=pushes[:2]))) == 1
 
 
@@ -67,4 +67,4 @@ def test_a_trial_of_an_effect_and_a_diagnosis_that_failed_are_told():
     assert first.endswith("The next pushes were chosen to tell table_tilt from no effect.")
     assert second.startswith("After push 7: With table_tilt, 2 pushes ended 9.0 mm off")
     assert second.endswith("it did not explain the pushes after all.")
-    assert "The diagnosis failed: too few pushes. The robot went on" in third
+    assert "The diagnosis failed: too few pushes. The robot continued" in third

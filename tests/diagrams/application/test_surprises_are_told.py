@@ -1,4 +1,4 @@
-"""The last words of a run name the pushes that missed by more than their intervals."""
+"""The last words of a run name the pushes that ended outside their intervals."""
 
 from __future__ import annotations
 
@@ -34,5 +34,6 @@ def test_the_monitor_says_which_push_was_worst_though_it_gives_no_alarm() -> Non
     off = Judged(6, 2.0, 0.03, 3.0, False, 12.1e-3, 10e-3, True)
     said = _monitor_words(Watch(2, np.zeros(3), (usual, off)))
     assert "no alarm" in said
-    assert "outside the 95 % region 1, the worst push 7: 12.1 mm off where 10.0 mm were expected" in said
+    assert "1 outside the 95 % region, the worst being push 7" in said
+    assert "an error of 12.1 mm where at most 10.0 mm were expected" in said
     assert "region" not in _monitor_words(Watch(1, np.zeros(3), (usual,)))

@@ -37,9 +37,9 @@ def made(*falls, verdict="effect"):
 
 
 def test_where_locked_pushes_are_not_better_predicted_is_said():
-    assert "of every dataset are better predicted" in where_it_falls(made(4.0, 5.0))
+    assert "of every dataset are predicted better" in where_it_falls(made(4.0, 5.0))
     said = where_it_falls(made(4.0, -1.0, 5.0))
-    assert "of 2 of 3 datasets are better predicted, not those of set 1" in said and "8.0 nats" in said
+    assert "of 2 of 3 datasets are predicted better, not those of set 1" in said and "8.0 nats" in said
     assert where_it_falls(made(None, None, verdict="adequate")) == ""
 
 

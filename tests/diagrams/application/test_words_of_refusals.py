@@ -9,16 +9,16 @@ from refusals import assert_refused, files_in
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["identify", "", "-o", "b.npz"], "DATASET is given an empty name"),
-        (["identify", "data", "-o", ""], "-o/--output is given an empty name"),
-        (["identify", "data", "-o", "b.npz", "--pictures="], "--pictures is given an empty name"),
-        (["view", ""], "BELIEF is given an empty name"),
-        (["explore", "--scenario", ""], "--scenario is given an empty name"),
-        (["explore", "--out", ""], "--out is given an empty name"),
-        (["effects", "--effect-file", "a.py", "--effect-file", ""], "--effect-file is given an empty name"),
-        (["effects", "--json", ""], "--json is given an empty name"),
-        (["object", "", "-o", "a.yaml", "--finger", "0.01"], "FILE is given an empty name"),
-        (["replay", ""], "LOG is given an empty name"),
+        (["identify", "", "-o", "b.npz"], "DATASET has an empty name"),
+        (["identify", "data", "-o", ""], "-o/--output has an empty name"),
+        (["identify", "data", "-o", "b.npz", "--pictures="], "--pictures has an empty name"),
+        (["view", ""], "BELIEF has an empty name"),
+        (["explore", "--scenario", ""], "--scenario has an empty name"),
+        (["explore", "--out", ""], "--out has an empty name"),
+        (["effects", "--effect-file", "a.py", "--effect-file", ""], "--effect-file has an empty name"),
+        (["effects", "--json", ""], "--json has an empty name"),
+        (["object", "", "-o", "a.yaml", "--finger", "0.01"], "FILE has an empty name"),
+        (["replay", ""], "LOG has an empty name"),
     ],
 )
 def test_an_empty_path_is_not_the_working_folder(slipmap, tmp_path, monkeypatch, arguments, named):
@@ -70,4 +70,4 @@ def test_an_effect_file_is_named_once(slipmap, tmp_path):
 def test_a_twin_comes_up_at_no_address_that_cannot_be(slipmap):
     said = slipmap("station", "--lcm", "nonsense")
     assert_refused(said, "the address must look like", "nonsense")
-    assert "comes up" not in said.err
+    assert "starting the cell" not in said.err

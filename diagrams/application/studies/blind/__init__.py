@@ -1,1 +1,1 @@
-"""Blind tests: datasets from a simulator that shares no physics with slipmap, and how diagnoses score."""
+"""Blind tests: datasets from a simulator that shares no physics with slipmap, and scores of diagnoses."""

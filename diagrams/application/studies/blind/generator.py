@@ -1,4 +1,4 @@
-"""One blind dataset from a seed: an object, 24 pushes, one hidden effect or none, and sensors with noise."""
+"""A blind dataset from a seed: an object, 24 pushes, one hidden effect or none, and noisy sensors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from slipmap.models.geometry import placed
 
 _RATE = 100.0  # Hz
 _NOISE = {"position": 2.5e-4, "angle": float(np.radians(0.15)), "tip": 5e-5, "force": 0.05}  # SI
-_DROPOUTS = 0.005  # share of rows that a sensor loses; their values are NaN
+_DROPOUTS = 0.005  # share of rows that a sensor loses, with values NaN
 _SHARE_NONE, _SHARE_OUTSIDE, _SHARE_WEAK = 0.3, 0.2, 0.35
 _LEAST_MOVED = 0.01  # m
 _TRIES = 6
@@ -47,18 +47,18 @@ _TRIES = 6
 
 @dataclass(frozen=True)
 class Truth:
-    """What is hidden in a dataset."""
+    """The hidden truth of a dataset."""
 
     name: str  # of the dataset
-    seed: int  # it came from
+    seed: int  # of the dataset
     verdict: str  # 'none' or 'effect'
-    effect: str | None  # its name, None where there is none
-    in_library: bool  # whether slipmap's library has it
-    resembles: tuple[str, ...]  # effects of the library that act like it
-    strength: str | None  # 'clear' or 'weak', None where there is none
+    effect: str | None  # name; None without effect
+    in_library: bool  # whether slipmap's library contains it
+    resembles: tuple[str, ...]  # similar effects of the library
+    strength: str | None  # 'clear' or 'weak'; None without effect
     parameters: dict[str, Any]  # of the effect, SI
-    # mean, median, max and per_trial: how far the effect moved the recorded end of each push, mean over the
-    # cells
+    # mean, median, max and per_trial: displacement of the recorded end of each push by the effect, averaged
+    # over the cells
     final_change_mm: dict[str, Any]
     largest_change_mm: float  # the same at any time of any push
     force_change_rms: float  # N, mean over the pushes
@@ -72,7 +72,7 @@ class Truth:
 
 
 def truth_file(folder: Path) -> Path:
-    """Where the truth about the dataset in `folder` lies."""
+    """Path of the truth about the dataset in `folder`."""
     return folder.parent / f"{folder.name}.truth.yaml"
 
 
@@ -84,14 +84,14 @@ def generate(
     strength: Strength | None = None,
     pushes: int = len(KINDS),
 ) -> Truth:
-    """Simulate a dataset and write it to `folder`, the truth beside it.
+    """Simulate a dataset and write it to `folder`, with the truth beside it.
 
-    The same seed gives the same files to the last bit. A folder that is there already is replaced.
+    The same seed gives bit-identical files. An existing folder is replaced.
 
     Args:
-        folder: of the dataset; its name is the dataset's.
-        effect: instead of a random one; `PLAIN` for none.
-        strength: instead of a random one.
+        folder: for the dataset, which takes its name.
+        effect: to hide; random if None, `PLAIN` for none.
+        strength: of the effect; random if None.
     """
     rng = np.random.default_rng([seed, 0x51EB])
     drawn_effect, drawn_strength = _draw_effect(rng)
@@ -151,7 +151,7 @@ def _draw_effect(rng: np.random.Generator) -> tuple[Kind, Strength]:
 def _plans(
     rng: np.random.Generator, thing: SlidingObject, pushes: int
 ) -> tuple[list[PushPlan], list[Motion]]:
-    """Pushes that move the object in the plain world, and how."""
+    """Pushes that move the object in the plain world, and their motions."""
     world = World(thing, Effect())
     plans, motions = [], []
     for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
@@ -168,7 +168,7 @@ def _plans(
 def _change(
     thing: SlidingObject, duration: float, effect: Effect, motion: Motion, plain: Motion
 ) -> tuple[float, float, float]:
-    """What the effect changed: recorded pose at the end and at most, m, and force, N (root mean square)."""
+    """Changes by the effect: of the recorded pose at the end and at most, m; of the force (RMS), N."""
     times = np.arange(0.0, duration, 1.0 / _RATE)
     recorded = effect.reported(times, motion.clock, motion.poses)
     apart = _distance(thing, recorded, exact(times, plain.clock, plain.poses))
@@ -179,7 +179,7 @@ def _change(
 
 
 def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> FloatArray:
-    """(...) mean over the cells of how far they are apart at the poses (..., 3), m."""
+    """(...) mean distance of the cells between poses (..., 3), m."""
     cells, others = (placed(thing.centers, poses[..., None, :]) for poses in (one, other))
     return np.linalg.norm(cells - others, axis=-1).mean(axis=-1)
 
@@ -187,7 +187,7 @@ def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> Float
 def _record(
     rng: np.random.Generator, thing: SlidingObject, plan: PushPlan, motion: Motion, effect: Effect
 ) -> dict[str, list[list[float]]]:
-    """What the sensors write: at 100 Hz, each with its own first moment, independent noise and lost rows."""
+    """What the sensors record: at 100 Hz, each with its own time offset, noise and lost rows."""
 
     def stamps() -> FloatArray:
         first = rng.uniform(0.0, 1.0 / _RATE)
@@ -206,7 +206,7 @@ def _record(
     tip = np.column_stack([exact(t, motion.clock, motion.hand), np.zeros(len(t))])
     record["tip_pose"] = rows(t, tip, [tip_noise, tip_noise, 0.0])
     t = stamps()
-    # A force sensor's filter: the mean over the time from half a row before to half a row after.
+    # Filter of the force sensor: mean from half a sampling period before to half a period after.
     half = 0.5 / _RATE
     low, high = np.maximum(t - half, 0.0), t + half
     passed = exact(high, motion.clock, motion.impulse) - exact(low, motion.clock, motion.impulse)
@@ -284,7 +284,7 @@ def _yaml(document: dict[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Lists instead of tuples, numbers of seven digits."""
+    """Lists instead of tuples, numbers rounded to seven digits."""
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

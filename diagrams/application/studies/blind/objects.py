@@ -1,6 +1,6 @@
-"""Random objects, footprints of square cells with maps of mass and friction, and random pushes of them.
+"""Random objects, which are footprints of square cells with maps of mass and friction, and random pushes.
 
-Pushes are slow, medium, fast, accelerating and in strokes; straight and curved; with three ways to end.
+Pushes are slow, medium, fast, accelerating or in strokes; straight or curved; with three kinds of endings.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ GRAVITY = 9.81
 
 
 def rotation_matrix(angle: float) -> FloatArray:
-    """(2, 2) that turns vectors by an angle, rad."""
+    """(2, 2) matrix that rotates vectors by an angle, rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
@@ -25,7 +25,7 @@ def rotation_matrix(angle: float) -> FloatArray:
 class SlidingObject:
     """A rigid footprint on a table and the round finger that pushes it."""
 
-    shape: str  # what it looks like, such as 'hammer'
+    shape: str  # such as 'hammer'
     cells: NDArray[np.int64]  # (n, 2) column and row of every cell
     width: float  # of a cell, m
     origin: FloatArray  # (2,) corner of cell (0, 0) in the object frame, m
@@ -36,11 +36,11 @@ class SlidingObject:
     # finger_radius, height: m
     finger_radius: float
     height: float
-    weighed: bool = False  # whether the dataset tells the total mass
+    weighed: bool = False  # whether the dataset states the total mass
 
     @cached_property
     def centers(self) -> FloatArray:
-        """(n, 2) in the object frame, m."""
+        """(n, 2) centres of the cells in the object frame, m."""
         return self.origin + (self.cells + 0.5) * self.width
 
     @cached_property
@@ -48,7 +48,7 @@ class SlidingObject:
         """Union of the cells in the object frame."""
         low = self.centers - 0.5 * self.width
         high = self.centers + 0.5 * self.width
-        # Neighbours share their borders to the last bit only when rounded to one lattice.
+        # Neighbours share borders exactly only when rounded to one lattice.
         union = shapely.union_all(shapely.box(*low.T, *high.T), grid_size=1e-9)
         return shapely.orient_polygons(union.simplify(1e-7))
 
@@ -59,27 +59,27 @@ class SlidingObject:
 
     @property
     def total_mass(self) -> float:
-        """Of all cells, kg."""
+        """Mass of all cells, kg."""
         return float(self.mass.sum())
 
     @property
     def center_of_mass(self) -> FloatArray:
-        """(2,) in the object frame, m."""
+        """(2,) centre of mass in the object frame, m."""
         return self.mass @ self.centers / self.mass.sum()
 
     @property
     def inertia(self) -> float:
-        """About the object frame's origin, kg·m², each cell a uniform square."""
+        """Moment of inertia about the object frame's origin, kg·m², with cells as uniform squares."""
         return float(self.mass @ ((self.centers**2).sum(axis=1) + self.width**2 / 6))
 
     @property
     def friction_force(self) -> float:
-        """When all cells slide one way, N."""
+        """Friction when all cells slide in one direction, N."""
         return float(GRAVITY * self.mass @ self.mu)
 
     @property
     def area(self) -> float:
-        """Of the footprint, m²."""
+        """Area of the footprint, m²."""
         return len(self.cells) * self.width**2
 
     @property
@@ -88,9 +88,9 @@ class SlidingObject:
         return float(np.hypot(*self.outline.T).max())
 
     def rectangles(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Center and size of overlapping rectangles; each straight side of the outline lies on one of them.
+        """Centre and size of overlapping rectangles; each straight side of the outline lies on one of them.
 
-        A finger thus meets no joint between two rectangles along a side.
+        So a finger never crosses a joint between two rectangles along a side.
         """
         spans: set[tuple[int, int, int, int]] = set()
         for along, across in ((0, 1), (1, 0)):
@@ -114,7 +114,7 @@ class SlidingObject:
         return result
 
     def quadrature(self, spacing: float = 0.003) -> tuple[FloatArray, NDArray[np.int64], int]:
-        """Points that share a cell's load evenly: (p, 2) places, (p,) their cells, points a cell."""
+        """Points that share a cell's load evenly: (p, 2) places, (p,) their cells, points per cell."""
         across = max(2, int(np.ceil(self.width / spacing)))
         offset = ((np.arange(across) + 0.5) / across - 0.5) * self.width
         inside = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
@@ -240,21 +240,21 @@ _SHAPES: dict[str, Callable[[np.random.Generator], NDArray[np.bool_]]] = {
 
 
 KINDS = ("medium",) * 7 + ("fast",) * 6 + ("slow",) * 4 + ("accelerating",) * 4 + ("strokes",) * 3
-"""The kinds of the 24 pushes of a dataset, in no order."""
+"""The kinds of the 24 pushes of a dataset, in no particular order."""
 
 HELDOUT = 8
 TABLE_SIZE = 1.0  # m, a square about the origin
 _START_WITHIN = 0.33  # m
-_SPARE = 0.1  # s that the path goes on after the recording
+_SPARE = 0.1  # s; the path continues so long after the recording
 
 
 @dataclass(frozen=True, eq=False)
 class FingerPath:
-    """An arc of constant curvature, run through at a speed that is piecewise linear in time.
+    """An arc of constant curvature with a speed that is piecewise linear in time.
 
     Attributes:
         start: (2,) m.
-        heading: of the first motion, rad.
+        heading: initial direction, rad.
         curvature: 1/m, positive to the left.
         times, speeds: (k,) s and m/s.
     """
@@ -266,7 +266,7 @@ class FingerPath:
     speeds: FloatArray
 
     def travelled(self, t: FloatArray) -> FloatArray:
-        """(T,) way since time zero, m."""
+        """(T,) distance travelled since time zero, m."""
         span = np.diff(self.times)
         ways = np.concatenate([[0.0], np.cumsum(0.5 * (self.speeds[1:] + self.speeds[:-1]) * span)])
         t = np.clip(t, self.times[0], self.times[-1])
@@ -276,7 +276,7 @@ class FingerPath:
         return ways[piece] + self.speeds[piece] * since + 0.5 * slope * since**2
 
     def positions(self, t: FloatArray) -> FloatArray:
-        """(T, 2) m."""
+        """(T, 2) positions at times (T,), m."""
         way = self.travelled(t)
         half = 0.5 * self.curvature * way
         chord = way * np.sinc(half / np.pi)
@@ -286,7 +286,7 @@ class FingerPath:
 
 @dataclass(frozen=True, eq=False)
 class PushPlan:
-    """One push: what the finger does to an object that rests at a pose."""
+    """One push: finger path and initial pose of the object."""
 
     # kind, end: such as 'medium' and 'abrupt'
     kind: str
@@ -306,7 +306,7 @@ def random_plan(rng: np.random.Generator, thing: SlidingObject, kind: str) -> Pu
     pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     turn = rotation_matrix(pose[2])
     path = FingerPath(turn @ start, heading + pose[2], curvature, times, speeds)
-    # The object is to start and to stay well within the table.
+    # Keep the object well within the table.
     way = path.positions(times[-1:])[0] - path.start
     for _ in range(1000):
         place = rng.uniform(-_START_WITHIN, _START_WITHIN, 2)
@@ -321,7 +321,7 @@ def random_plan(rng: np.random.Generator, thing: SlidingObject, kind: str) -> Pu
 
 
 def _timing(rng: np.random.Generator, kind: str) -> tuple[str, FloatArray, FloatArray]:
-    """How it ends, and times and speeds of the finger."""
+    """Kind of ending, and times (s) and speeds (m/s) of the finger."""
     chances = {"slow": (0.0, 0.2, 0.8), "medium": (0.35, 0.4, 0.25), "strokes": (0.5, 0.5, 0.0)}
     end = str(rng.choice(["gentle", "abrupt", "moving"], p=chances.get(kind, (0.5, 0.5, 0.0))))
     if kind == "strokes":
@@ -346,7 +346,7 @@ def _timing(rng: np.random.Generator, kind: str) -> tuple[str, FloatArray, Float
 
 
 def _strokes(rng: np.random.Generator) -> tuple[list[float], list[float]]:
-    """A slow stroke and a faster one, half the time with a rest between them."""
+    """A slow and a faster stroke, in half of the cases with a pause between them."""
     slow, fast = rng.uniform(0.02, 0.065), rng.uniform(0.065, 0.175)
     first = rng.uniform(0.7, 1.1)
     times, speeds = [0.0, 0.1, first], [0.0, slow, slow]
@@ -359,7 +359,7 @@ def _strokes(rng: np.random.Generator) -> tuple[list[float], list[float]]:
 
 
 def _approach(rng: np.random.Generator, thing: SlidingObject) -> tuple[FloatArray, float]:
-    """Start and heading of a finger that meets the outline after some mm, in the object frame."""
+    """Start and heading of a finger that touches the outline after a few mm, in the object frame."""
     ring = thing.footprint.exterior
     while True:
         at = rng.uniform(0, ring.length)

@@ -1,4 +1,4 @@
-"""How good diagnoses are: what was hidden against what was said."""
+"""Scores of diagnoses: what was hidden and what was diagnosed."""
 
 import textwrap
 from collections import Counter
@@ -16,14 +16,14 @@ from slipmap.models.inference.diagnosis.results import VERDICTS
 COLUMNS = {
     "adequate": "adequate",
     "right": "effect: the true one",
-    "near": "effect: one that acts like the true one",
+    "near": "effect: one similar to the true one",
     "wrong": "effect: another one",
-    "in set": "ambiguous, the true one among them",
-    "not in": "ambiguous, the true one not among them",
+    "in set": "ambiguous, including the true one",
+    "not in": "ambiguous, without the true one",
     "unknown": "unknown",
     "undec.": "undecided",
 }
-"""What was said, in the light of the truth: heading and meaning."""
+"""Diagnoses judged by the truth: column heading and meaning."""
 
 _ALARMS = ("right", "near", "wrong", "in set", "not in", "unknown")
 _OUTSIDE = " *"
@@ -32,7 +32,7 @@ _OUTSIDE = " *"
 
 @dataclass(frozen=True)
 class Rate:
-    """So many of so many."""
+    """A count out of a total."""
 
     what: str
     hits: int
@@ -40,7 +40,7 @@ class Rate:
 
     @property
     def share(self) -> float:
-        """NaN where there was none."""
+        """Share of hits; NaN if the total is 0."""
         return self.hits / self.of if self.of else float("nan")
 
     @property
@@ -49,23 +49,23 @@ class Rate:
         return exact_range(self.hits, self.of)
 
     def text(self) -> str:
-        """Count, share and range."""
+        """Count, share and range in words."""
         low, high = self.range
         return f"{self.hits} of {self.of}, {self.share:.0%} ({low:.0%} to {high:.0%})"
 
 
 @dataclass(frozen=True)
 class Score:
-    """Of many diagnoses."""
+    """Score of many diagnoses."""
 
-    confusion: dict[str, dict[str, int]]  # counts by truth and by what was said (the keys of `COLUMNS`)
-    named: dict[str, dict[str, int]]  # how often each effect was named alone, by truth
-    rates: tuple[Rate, ...]  # the figures that matter
-    cases: tuple[dict[str, Any], ...]  # one entry a dataset
-    failed: dict[str, str]  # names of datasets that gave no diagnosis, and why
+    confusion: dict[str, dict[str, int]]  # counts by truth and diagnosis (keys of `COLUMNS`)
+    named: dict[str, dict[str, int]]  # how often each effect was named as the only one, by truth
+    rates: tuple[Rate, ...]  # the main figures
+    cases: tuple[dict[str, Any], ...]  # one entry per dataset
+    failed: dict[str, str]  # datasets without a diagnosis, and why
 
     def to_json(self) -> dict[str, Any]:
-        """For programs."""
+        """The score as JSON."""
         return {
             "columns": COLUMNS,
             "confusion": self.confusion,
@@ -82,7 +82,7 @@ class Score:
         }  # fmt: skip
 
     def text(self) -> str:
-        """For a terminal of 80 columns."""
+        """The score for a terminal of 80 columns."""
         widths = [21, 3, *(max(len(name), 4) for name in COLUMNS)]
         head, *rows = (_row(row, widths) for row in self._rows())
         lines = [head, "─" * (sum(widths) + len(widths) - 1), *rows]
@@ -103,11 +103,11 @@ class Score:
         return "\n".join(lines).rstrip() + "\n"
 
     def _counted(self) -> list[Rate]:
-        """Rates of something that occurred."""
+        """Rates with a nonzero total."""
         return [rate for rate in self.rates if rate.of]
 
     def _rows(self) -> list[list[str]]:
-        """The headings, then what was said of each truth."""
+        """The headings, then the counts for each truth."""
         rows = [["hidden", "n", *COLUMNS]]
         for truth, counts in self.confusion.items():
             numbers = [str(counts[column]) if counts[column] else "·" for column in COLUMNS]
@@ -117,7 +117,7 @@ class Score:
     def _remarks(self) -> list[str]:
         remarks = []
         if any(label.endswith(_OUTSIDE) for label in self.confusion):
-            remarks.append("*: not in slipmap's library; `unknown` is the right verdict")
+            remarks.append("*: not in slipmap's library; `unknown` is the correct verdict")
         remarks.append(
             "; ".join(f"{name} = {meaning}" for name, meaning in COLUMNS.items() if name != meaning)
         )
@@ -140,18 +140,18 @@ class Score:
 
 
 def score(pairs: Iterable[tuple[Truth, Mapping[str, Any]]], failed: Mapping[str, str] | None = None) -> Score:
-    """Compare what was hidden with what was said.
+    """Compare the hidden truths with the diagnoses.
 
     Args:
         pairs: truth and the JSON document of the diagnosis, with the keys verdict, effect, effects,
             parameters, p_value, heldout_misfit_before, heldout_misfit_after and seconds.
-        failed: why there is no diagnosis, by the name of the dataset.
+        failed: why a dataset has no diagnosis, by name.
 
     Raises:
         ValueError: a verdict that is not in `VERDICTS`.
     """
     cases = [_case(truth, result) for truth, result in pairs]
-    # Without an effect first, then those of the library, then the others.
+    # Datasets without an effect first, then effects of the library, then others.
     cases.sort(key=lambda case: (case["truth"] != "none", case["outside"], case["truth"], case["name"]))
     confusion: dict[str, dict[str, int]] = {}
     named: dict[str, Counter[str]] = {}
@@ -170,19 +170,19 @@ def score(pairs: Iterable[tuple[Truth, Mapping[str, Any]]], failed: Mapping[str,
 
 
 def said(truth: Truth, verdict: str, effect: str | None, effects: Sequence[str]) -> str:
-    """Which of `COLUMNS` a diagnosis falls into.
+    """The column, one of `COLUMNS`, of a diagnosis.
 
     Raises:
         ValueError: a verdict that is not in `VERDICTS`.
     """
     if verdict not in VERDICTS:
-        raise ValueError(f"{truth.name}: verdict {verdict!r} is none of {', '.join(VERDICTS)}")
+        raise ValueError(f"{truth.name}: verdict {verdict!r} is not one of {', '.join(VERDICTS)}")
     if verdict == "effect":
         if truth.effect is not None and effect == truth.effect:
             return "right"
         return "near" if effect in truth.resembles else "wrong"
     if verdict == "ambiguous":
-        # A set that holds a look-alike of an effect outside the library holds all there is to find.
+        # For an effect outside the library, a look-alike in the set is the best possible answer.
         wanted = {truth.effect} if truth.in_library else set(truth.resembles)
         return "in set" if wanted & set(effects) else "not in"
     return "undec." if verdict == "undecided" else verdict

@@ -1,8 +1,8 @@
-"""Hidden effects: what each may change in the simulated world, and how strong it is drawn by chance.
+"""Hidden effects: what each changes in the simulated world, and how its parameters are drawn.
 
-Most of them are in slipmap's library too and were written here without it; five are in no library. Places and
-velocities are in the world frame, m and m/s, unless said otherwise. A function makes each effect; its
-arguments are the parameters that the truth file tells, in SI. `LIBRARY` and `OUTSIDE` say how they are drawn.
+Most of them are also in slipmap's library but are implemented here independently; five are outside it.
+Places and velocities are in the world frame, m and m/s, unless stated otherwise. A function makes each
+effect; its arguments, in SI, are the parameters in the truth file. `LIBRARY` and `OUTSIDE` define the draws.
 """
 
 from collections.abc import Callable
@@ -27,39 +27,39 @@ Vector = tuple[float, float]
 
 @dataclass(eq=False)
 class Instant:
-    """The state of the object at one time step, as effects see it."""
+    """State of the object at one time step, for the effects."""
 
     time: float  # since the push began, s
     step: float  # s
     # pose, twist: (3,) of the object frame
     pose: FloatArray
     twist: FloatArray
-    points: FloatArray  # (p, 2) that carry load, object frame
-    loads: FloatArray  # (p,) N on them in the plain world
-    # contact, friction: (3,) force of finger and of table, and torque about the object frame's origin, of the
-    # step before
+    points: FloatArray  # (p, 2) that carry the load, object frame
+    loads: FloatArray  # (p,) loads on them in the plain world, N
+    # contact, friction: (3,) force of the finger and of the table with torque about the object frame's
+    # origin, from the previous step
     contact: FloatArray
     friction: FloatArray
 
     @cached_property
     def rotation(self) -> FloatArray:
-        """(2, 2) from the object frame to the world."""
+        """(2, 2) rotation from the object frame to the world."""
         return rotation_matrix(self.pose[2])
 
     @cached_property
     def places(self) -> FloatArray:
-        """(p, 2) of the points on the table."""
+        """(p, 2) positions of the points on the table."""
         return self.points @ self.rotation.T + self.pose[:2]
 
     @cached_property
     def speeds(self) -> FloatArray:
-        """(p,) of the points."""
+        """(p,) speeds of the points."""
         v = self.rotation.T @ self.twist[:2]
         return np.hypot(v[0] - self.twist[2] * self.points[:, 1], v[1] + self.twist[2] * self.points[:, 0])
 
 
 class LooseMass(NamedTuple):
-    """Part of the object's mass on springs: kg, rest place in the object frame, N/m and N·s/m."""
+    """Part of the object's mass on springs: kg, rest position in the object frame, N/m and N·s/m."""
 
     mass: float
     place: Vector
@@ -68,7 +68,7 @@ class LooseMass(NamedTuple):
 
 
 class Blade(NamedTuple):
-    """Resists sideways motion at a place of the object: m, rad of its own line, N."""
+    """Resistance to sideways motion at a point of the object: place, m; direction of the blade, rad; N."""
 
     place: Vector
     angle: float
@@ -76,42 +76,42 @@ class Blade(NamedTuple):
 
 
 class Chance(NamedTuple):
-    """What an effect is drawn from: source of chance, how strong it is to be, and the object it acts on."""
+    """Source of random parameters: generator, intended strength, and the object acted on."""
 
     rng: np.random.Generator
     strength: Strength
     thing: SlidingObject
 
     def size(self, clear: Range, weak: Range) -> float:
-        """A number from the range of the strength."""
+        """A random number from the range of the strength."""
         return float(self.rng.uniform(*(clear if self.strength == "clear" else weak)))
 
     def signed(self, clear: Range, weak: Range) -> float:
-        """The same, positive or negative."""
+        """A random number from that range with a random sign."""
         size = self.size(clear, weak)
         return float(self.rng.choice([-1.0, 1.0])) * size
 
     def vector(self, clear: Range, weak: Range) -> Vector:
-        """A vector of that length in any direction."""
+        """A vector with a length from that range in a random direction."""
         size, angle = self.size(clear, weak), self.direction()
         return float(size * np.cos(angle)), float(size * np.sin(angle))
 
     def between(self, low: float, high: float) -> float:
-        """A number that does not depend on the strength."""
+        """A random number that does not depend on the strength."""
         return float(self.rng.uniform(low, high))
 
     def direction(self) -> float:
-        """Any direction, rad."""
+        """A random direction, rad."""
         return self.between(-np.pi, np.pi)
 
     def place(self, within: float) -> Vector:
-        """A place of the table, at most so far from its middle along x and y."""
+        """A random place on the table, at most `within` from its middle along x and y."""
         x, y = self.rng.uniform(-within, within, 2)
         return float(x), float(y)
 
 
 def exact(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-    """(T, c) what an exact sensor reports at `times` of true `poses` (N, c), which are known at `clock`."""
+    """(T, c) report of an exact sensor at `times`, from true `poses` (N, c) at the times `clock`."""
     return np.column_stack([np.interp(times, clock, column) for column in poses.T])
 
 
@@ -129,7 +129,7 @@ Report = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 @dataclass(eq=False)
 class Effect:
-    """What an effect changes; all else is that of the plain world.
+    """What an effect changes; everything else is as in the plain world.
 
     Attributes:
         parameters: by name, SI; none in the plain world.
@@ -138,13 +138,13 @@ class Effect:
         blade: under the object.
         finger_stiffness: of a spring between the recorded position of the finger and its tip, N/m.
         drag: force per speed and area, N·s/m³.
-        table_velocity: (2,) of the table's top.
-        begin: called with number of the push, number of all and number of points that the object rests on.
-        grain: (2, 2) metric of friction in the frame of an object at an angle; None where it is round.
+        table_velocity: (2,) of the table surface.
+        begin: called with the index of the push, the number of pushes and the number of support points.
+        grain: (2, 2) metric of friction in the frame of an object at an angle; None where isotropic.
         friction_factor: (p,) or one factor on every point's friction; None for 1.
         force: (3,) on the object and torque about its origin; None for no force.
         reported: see `exact`.
-        felt: what the force sensor says of true forces (T, 2).
+        felt: what the force sensor reports for true forces (T, 2).
     """
 
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -163,7 +163,7 @@ class Effect:
 
     @property
     def changes_motion(self) -> bool:
-        """False for sensors, which change what is recorded alone, and for the plain world."""
+        """False for sensor effects, which only change the recording, and for the plain world."""
         return bool(self.parameters) and self.reported is exact and self.felt is _as_it_is
 
 
@@ -197,7 +197,7 @@ def viscous_friction(drag_per_area: float) -> Effect:
 
 
 def gusts(strength: float, direction: float, period: float, phases: tuple[float, ...]) -> Effect:
-    """A force towards `direction` that swells and ebbs with `period`; each push meets it at another phase."""
+    """A force along `direction` that oscillates with `period`; each push starts at another phase."""
     phase = 0.0
 
     def begin(push: int, pushes: int, points: int) -> None:
@@ -212,11 +212,11 @@ def gusts(strength: float, direction: float, period: float, phases: tuple[float,
 
 
 def moving_table(velocity: Vector) -> Effect:
-    """The table is a belt that creeps along at a constant velocity."""
+    """The table is a belt that creeps at a constant velocity."""
     return Effect(table_velocity=np.array(velocity))
 
 
-# Friction by speed, direction and push, or with the load.
+# Friction that depends on speed, direction, push or load.
 
 
 def stribeck_friction(static: float, speed: float) -> Effect:
@@ -241,7 +241,7 @@ def anisotropic_object(along: float, across: float, angle: float) -> Effect:
 
 
 def friction_drift(change: float) -> Effect:
-    """Friction of all pushes together changes by `change` from the first to the last, its mean kept."""
+    """Friction changes linearly by `change` from the first push to the last; its mean is unchanged."""
     share = 0.0
 
     def begin(push: int, pushes: int, points: int) -> None:
@@ -252,11 +252,11 @@ def friction_drift(change: float) -> Effect:
 
 
 def load_transfer(push_height: float, mass_height: float) -> Effect:
-    """A push `push_height` above the table and braking with the mass at `mass_height` shift the load."""
+    """Pushing at `push_height` above the table and braking with the mass at `mass_height` shift the load."""
 
     def factor(now: Instant) -> FloatArray:
         push = now.rotation.T @ now.contact[:2]
-        # The weight bounds the force, which the first touch would raise to a short spike.
+        # Bounded by the weight, because the first touch causes a short force spike.
         push *= min(1.0, now.loads.sum() / max(float(np.hypot(*push)), 1e-9))
         inertial = push + now.rotation.T @ now.friction[:2]
         moment = push * push_height - inertial * mass_height
@@ -286,18 +286,18 @@ def ageing(rise: float, memory: float) -> Effect:
     return Effect(begin=begin, friction_factor=factor)
 
 
-# Friction by the place on the table.
+# Friction that depends on the place on the table.
 
 
 def linear_friction_field(gradient: Vector, center: Vector) -> Effect:
-    """Friction grows across the table by `gradient` (1/m), and is the object's own at `center`."""
+    """Friction grows across the table by `gradient` (1/m) and has its plain value at `center`."""
     return Effect(
         friction_factor=lambda now: np.maximum(1.0 + (now.places - center) @ np.array(gradient), 0.15)
     )
 
 
 def patch_friction_field(center: Vector, radius: float, edge: float, factor: float) -> Effect:
-    """A round patch of the table multiplies friction by `factor`, with a border `edge` wide."""
+    """A round patch of the table multiplies friction by `factor`, with a transition `edge` wide."""
 
     def local(now: Instant) -> FloatArray:
         distance = np.hypot(*(now.places - center).T)
@@ -332,12 +332,12 @@ def sticky_line(center: Vector, angle: float, width: float, factor: float) -> Ef
 
 
 def finger_compliance(compliance: float) -> Effect:
-    """The recorded position is that of the hand; the tip hangs on it by a spring, `compliance` in m/N."""
+    """The recorded position is the hand's; a spring connects the tip to it, `compliance` in m/N."""
     return Effect(finger_stiffness=1.0 / compliance)
 
 
 def loose_mass(share: float, frequency: float, damping_ratio: float, place: Vector, mass: float) -> Effect:
-    """`share` of every cell's mass is one body on a spring and a damper; the floor's load stays as it is."""
+    """`share` of every cell's mass is one body on a spring and a damper; loads on the table are unchanged."""
     omega = 2 * np.pi * frequency
     return Effect(loose_mass=LooseMass(mass, place, mass * omega**2, 2 * damping_ratio * mass * omega))
 
@@ -347,7 +347,7 @@ def skate(place: Vector, angle: float, resistance: float) -> Effect:
     return Effect(blade=Blade(place, angle, resistance))
 
 
-# The tracker, which changes what is recorded alone.
+# Tracker effects, which only change the recording.
 
 
 def sensor_latency(latency: float) -> Effect:
@@ -371,16 +371,16 @@ def tracker_scale(scale: float) -> Effect:
 
 
 def tracker_shift(x: float, y: float) -> Effect:
-    """The tracker sees all places (`x`, `y`) off; or a tool's point was recorded for the finger's centre."""
+    """The tracker's positions are shifted by (`x`, `y`), or the recorded point is not the finger's centre."""
     off = np.array([x, y, 0.0])
     return Effect(reported=lambda times, clock, poses: exact(times, clock, poses) + off)
 
 
-# The force sensor, likewise.
+# Force sensor effects, likewise.
 
 
 def force_frame(angle: float, negated: bool) -> Effect:
-    """Forces come in axes turned by `angle`, their y negated before where that is so."""
+    """Forces are rotated by `angle`, after negating y if `negated`."""
     turn = rotation_matrix(angle) * [1.0, -1.0 if negated else 1.0]
     return Effect(felt=lambda forces: forces @ turn.T)
 
@@ -391,7 +391,7 @@ def force_bias(x: float, y: float) -> Effect:
     return Effect(felt=lambda forces: forces + added)
 
 
-# How they are drawn: the arguments, in the order in which chance is asked for them.
+# Random arguments of the effects; the order of the draws matters.
 
 
 def _tether(c: Chance) -> dict[str, Any]:
@@ -475,22 +475,22 @@ def _skate(c: Chance) -> dict[str, Any]:
 
 
 class Kind(NamedTuple):
-    """An effect before it is drawn."""
+    """An effect before its parameters are drawn."""
 
-    name: str  # of it in the library, if it is there
+    name: str  # in the library, if it is there
     make: Callable[..., Effect]  # its function
-    draw: Callable[[Chance], dict[str, Any]]  # gives the arguments of the function
-    kind: str = ""  # tells effects of one name apart
-    # effects of the library that act alike; naming one of them is a near miss, not a blunder
+    draw: Callable[[Chance], dict[str, Any]]  # draws the arguments of the function
+    kind: str = ""  # distinguishes effects of the same name
+    # similar effects of the library; naming one of them is a near miss
     resembles: tuple[str, ...] = ()
 
     @property
     def in_library(self) -> bool:
-        """Whether slipmap has it, too."""
+        """Whether slipmap's library has it."""
         return self not in OUTSIDE
 
     def drawn(self, chance: Chance) -> Effect:
-        """An effect of that strength."""
+        """An effect with random parameters."""
         arguments = self.draw(chance)
         effect = self.make(**arguments)
         effect.parameters = {"kind": self.kind, **arguments} if self.kind else arguments

@@ -1,12 +1,12 @@
-"""The simulated world: Drake's multibody plant moves object and finger, friction comes from elastic bristles.
+"""The simulated world: Drake's multibody plant moves object and finger; friction comes from elastic bristles.
 
-The object slides on a planar joint, so the table holds it up without contacts. The finger is a sphere on two
-prismatic joints, driven along a prescribed path with a mass so large that no push disturbs it. Finger and
-object meet in the plant's own contact.
+The object slides on a planar joint, so no contacts carry its weight. The finger is a sphere on two prismatic
+joints, driven along a prescribed path with a mass so large that no push disturbs it. Finger and object touch
+through the plant's own contact model.
 
-Friction of the table acts on many points, each of which holds on by a short bristle that gives way at a
-limit: the law of Coulomb with a true state of rest. A point clings within its bristle's reach of a few
-micrometres and slides beyond it at constant force. Explicit in time, with no equations to solve.
+Table friction acts on many points, each held by a short bristle that yields at a limit: Coulomb's law with
+true sticking. A point sticks within its bristle's reach of a few micrometres and slides beyond it at constant
+force. The scheme is explicit in time and solves no equations.
 """
 
 from dataclasses import dataclass, replace
@@ -27,22 +27,22 @@ _HAND_MASS = 100.0  # kg
 _TIP_MASS = 0.05  # kg, of a compliant finger
 _BOX_HEIGHT = 0.1  # m; a finger always meets a side
 _REACH = 8e-6  # m, of a bristle
-_DAMPING_TIME = 1.5e-3  # s, force of a clinging bristle per rate, over its stiffness
+_DAMPING_TIME = 1.5e-3  # s, damping of a sticking bristle divided by its stiffness
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened in one push, at every step of time."""
+    """Motion during one push, at every time step."""
 
     clock: FloatArray  # (N,) s
     poses: FloatArray  # (N, 3) of the object frame
-    hand: FloatArray  # (N, 2) of the finger as its robot knows it; the tip itself where nothing bends
+    hand: FloatArray  # (N, 2) finger position known to the robot; the tip itself if the finger is rigid
     # (N, 3) of the contact force on the object since the start, N·s, and of its torque about the hand, N·m·s
     impulse: FloatArray
 
 
 class World:
-    """One object, one finger, one effect: built once, pushed often."""
+    """One object, one finger and one effect; built once and pushed many times."""
 
     def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP):
         self._thing, self._effect, self._step = thing, effect, step
@@ -54,13 +54,13 @@ class World:
         self._build()
 
     def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
-        """Carry out a plan as the push number `index` of `count`."""
+        """Carry out a plan as push `index` of `count`."""
         steps = int(np.ceil((plan.duration + 0.02) / self._step))
         target = plan.path.positions(self._step * np.arange(steps + 2, dtype=float))
         return self._run(plan.pose, np.zeros(3), target, index, count)
 
     def coast(self, pose: FloatArray, twist: FloatArray, duration: float) -> Motion:
-        """Let the object slide on by itself, the finger far away."""
+        """Let the object slide freely, with the finger far away."""
         steps = int(np.ceil(duration / self._step))
         return self._run(pose, twist, np.full((steps + 2, 2), 50.0), 0, 1)
 
@@ -102,7 +102,7 @@ class World:
         return Motion(h * np.arange(steps, dtype=float), states[:, self._q], states[:, self._hand_q], impulse)
 
     def _friction(self, now: Instant, bristles: FloatArray, blade_bristle: FloatArray) -> FloatArray:
-        """(3,) of the table on the object, world frame."""
+        """(3,) friction force and torque of the table on the object, world frame."""
         factor = self._effect.friction_factor(now)
         grain = self._effect.grain(float(now.pose[2]))
         turn = now.rotation
@@ -186,7 +186,7 @@ class World:
 
 
 def _surface(mu: float) -> ProximityProperties:
-    """Drake joins two equal coefficients μ to 2 μ μ / (μ + μ) = μ, and halves two equal stiffnesses."""
+    """Contact properties; Drake combines equal coefficients to 2 μ μ / (μ + μ) = μ, and halves stiffness."""
     properties = ProximityProperties()
     AddContactMaterial(
         properties=properties,
@@ -198,7 +198,7 @@ def _surface(mu: float) -> ProximityProperties:
 
 
 def _flat_inertia(thing: SlidingObject) -> tree.SpatialInertia:
-    """Of the cells as uniform squares in one plane, about the object frame's origin."""
+    """Spatial inertia of the cells as uniform squares in a plane, about the object frame's origin."""
     share = thing.mass / thing.total_mass
     x, y = thing.centers.T
     square = thing.width**2 / 12
@@ -218,7 +218,7 @@ def _cart(
     stiffness: float = 0.0,
     damping: float = 0.0,
 ) -> tuple[tree.RigidBody, list[tree.PrismaticJoint]]:
-    """A body that moves along x and y of its parent from `place`, on springs where they have a stiffness."""
+    """A body that moves along x and y of its parent from `place`, on springs if `stiffness` is positive."""
     ball = tree.UnitInertia.SolidSphere(0.005)
     frame = plant.AddFrame(
         tree.FixedOffsetFrame(f"{name} rest", parent.body_frame(), RigidTransform([*place, 0.0]))
@@ -247,7 +247,7 @@ def _bristle_wrench(
     twist: FloatArray,
     h: float,
 ) -> tuple[float, float, float]:
-    """Move the bristles on by one step and sum up their forces.
+    """Advance the bristles by one step and sum their forces.
 
     All vectors in the object frame.
 

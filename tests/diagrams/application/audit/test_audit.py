@@ -123,7 +123,7 @@ def test_of_the_model_itself_nothing_is_named(
     assert found["defects"] == found["explained"] == found["remedies"] == []
     assert found["price_mm"] < 0.1 and found["step"] == 4e-3
     said = capsys.readouterr().out
-    assert "Nothing is named" in said and "mm from Coulomb's law" in said
+    assert "No defect was found" in said and "mm from Coulomb's law" in said
     assert "<svg" not in page.read_text() and "data:image/svg+xml" in page.read_text()
 
 
@@ -201,6 +201,6 @@ def test_an_unknown_engine_or_setting_is_refused(spec: str, said: str) -> None:
 
 def test_an_engine_that_is_not_installed_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"pybullet is not installed; `pip install 'slipmap\[bench\]'`"):
+    with pytest.raises(BadInput, match=r"pybullet is not installed; use `pip install 'slipmap\[bench\]'`"):
         engines.find_engine("bullet:pyramid")
     assert engines.installed() == []

@@ -152,7 +152,7 @@ def test_the_whole_procedure_stands_beside_the_papers(
     assert document["fates"]["uniform"] == {"held": 1, "dropped": 1}
     assert _lines(capsys.readouterr().out, "paper")[0].split()[1:] == ["100", "80", "30", "–"]
     assert run(["campaign", "fig7", "--truth", "bullet", "-o", str(tmp_path)]) == 2
-    assert "plant alone" in capsys.readouterr().err
+    assert "only plant simulates" in capsys.readouterr().err
 
 
 def test_every_experiment_is_found_by_its_name() -> None:
@@ -231,7 +231,7 @@ def test_some_methods_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize(
-    ("figure", "told"), [("fig7", "choose among probabilistic"), ("fig5", "this experiment has none")]
+    ("figure", "told"), [("fig7", "choose one of probabilistic"), ("fig5", "this experiment has neither")]
 )
 def test_a_method_that_is_not_there_is_told(
     figure: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -167,7 +167,7 @@ def test_pushed_over_the_edge_it_is_gone(exact: PlantWorld) -> None:
 def test_refuses_to_come_down_on_the_object(exact: PlantWorld) -> None:
     exact.reset(POSE, np.random.default_rng(0))
     middle = POSE[:2] + turn(POSE[2]) @ exact.true_object.grid.centers[0]
-    with pytest.raises(PushNotMade, match=r"come down on the hammer.*nearer than its radius of 8 mm"):
+    with pytest.raises(PushNotMade, match=r"land on the hammer.*closer than its radius of 8 mm"):
         exact.push(TablePush(middle, np.add(middle, [0.1, 0.0]), 0.05))
     np.testing.assert_allclose(exact.look(), POSE, atol=1e-9)
     assert exact.pushes == 0

@@ -98,7 +98,7 @@ def test_a_result_that_json_cannot_hold_is_a_failure(tmp_path: Path) -> None:
 def test_bad_requests_are_named(tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match="same name"):
         run_trials([*_specs("draw", 1), *_specs("draw", 1)], tmp_path)
-    with pytest.raises(CampaignError, match="a name has letters"):
+    with pytest.raises(CampaignError, match="use only letters"):
         TrialSpec("a/b", "trial_functions:draw", {}, 0)
     with pytest.raises(CampaignError, match="plain data"):
         TrialSpec("a", "trial_functions:draw", {"scale": float("inf")}, 0)

@@ -68,7 +68,7 @@ def test_a_stopped_run_goes_on_and_a_failure_loses_nothing_else(slipmap, tmp_pat
     said = slipmap("blind-test", "--seed", "7", "--count", "4", "-o", tmp_path)
     assert said.code == 0
     assert diagnosed.asked == [8, 10]
-    assert "2 of 4 datasets have their diagnosis" in said.err and "\n2 datasets to simulate" in said.err
+    assert "2 of 4 datasets are already diagnosed" in said.err and "\n2 datasets to simulate" in said.err
     assert (tmp_path / "blind-00007.result.json").stat().st_mtime_ns == kept
     assert (tmp_path / "blind-00008" / "dataset.yaml").stat().st_mtime_ns == dataset
     assert not (tmp_path / "blind-00008.failure.json").exists()
