@@ -66,7 +66,7 @@ def page(data: Path) -> str:
         "",
         "## A real triangle on three feet",
         "",
-        "The load on each foot follows from statics, and from it the friction arm and the centre of friction.",
+        "The load on each foot follows from statics, and from it friction arm and centre of friction.",
         "Total friction is the source's own figure. Values with 90 % intervals, in mm and N.",
         "",
         "| dataset | arm | belief | centre | belief | friction | belief | structures |",
