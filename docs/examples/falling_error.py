@@ -1,4 +1,4 @@
-"""Draws how the error of predictions falls with each push that is learned from: the README's picture.
+"""Draw how the prediction error falls with each push that is learned from.
 
 slipmap demo
 python docs/examples/falling_error.py simulated-demo/pushes falling-error.png
@@ -16,7 +16,7 @@ from slipmap.diagrams.systems.look import BELIEF, FAINT, styled
 
 @styled
 def falling_error_figure(name: str, errors: dict[int, np.ndarray], resting: float, uniform: float) -> Figure:
-    """errors: by the number of pushes learned from, of each held-out push, mm."""
+    """Plot errors (mm) of the held-out pushes by the number of pushes learned from, beside two baselines."""
     counts = list(errors)
     figure = Figure(figsize=(6.4, 3.0), layout="constrained")
     axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""A diagram of your own: a finger pushes a block; each push is recorded, learned from and shown."""
+"""A Diagram of your own: a finger makes two pushes; each is recorded, learned from and shown."""
 
 import numpy as np
 from pydrake.all import DiagramBuilder, Simulator, StartMeshcat

@@ -19,44 +19,44 @@ MAGNET = PAGE.parent / "examples" / "magnet.py"
 _HEAD = """\
 # Effects
 
-What slipmap knows of beyond its plain model (an object of cells with mass and dry friction, pushed by a
-stiff finger on a level table, seen by perfect sensors up to noise). `slipmap effects` lists them,
-`slipmap effects tether` explains one, and `slipmap effects tether --picture tether.png` draws what it
-does to a push.
+Physics that slipmap can add to its plain model (an object made of cells with mass and dry friction, pushed by
+a stiff finger on a level table, seen by sensors that are perfect but for noise). `slipmap effects` lists the
+effects, `slipmap effects tether` explains one, and `slipmap effects tether --picture tether.png` draws what
+it does to a push.
 
-This page is made from the code: `python tests/diagrams/application/effects_page.py` writes it anew. The
-formulas are those that run. Constants that only round off corners are left out, [v]₊ is the larger of v
-and 0, σ(v) goes smoothly from 0 to 1 about v = 0. A ⁺ marks what holds after the step. An effect is
-nothing at the value under *nothing at*; parameters with a dash there only shape it.
+This page is generated from the code by `python tests/diagrams/application/effects_page.py`. The
+formulas are those that run, without constants that only smooth corners. [v]₊ is the larger of v
+and 0, and σ(v) rises smoothly from 0 to 1 around v = 0. A ⁺ marks values after the step. An effect
+vanishes at the value under *nothing at*; parameters with a dash there only shape it.
 """
 
 _OWN = """\
 ## An effect of your own
 
-Write a file with a class: what it is called, a sentence, its parameters, and a formula in SymPy. This is
+Write a file with a class that has a name, a sentence, parameters and a formula in SymPy. This is
 a magnet under the table ([examples/magnet.py](examples/magnet.py)):
 
 ```python
 {code}```
 
-Then let it compete with the library, and learn with it:
+Then let it compete with the library, and learn its parameters:
 
     slipmap effects magnet --effect-file magnet.py --picture magnet.png
     slipmap diagnose DATASET --effect-file magnet.py
     slipmap fit DATASET --effect magnet --effect-file magnet.py
 
-- Derivatives and machine code are made from the formula, once; nothing is differentiated by hand.
-- A parameter has a name, a unit in SI (`1` for none), a meaning, its lowest and highest value, the size
-  it is expected to have (`0.1` above), and `null`, the value at which the effect vanishes. At least one
-  needs a null. With `weight_power=1.0` the expected size is meant per newton of the object's weight, so
-  that light and heavy objects are treated alike. Parameters without a null only shape the effect;
-  `starts` says where to begin looking for them, `far_starts` where else than at the nulls.
+- Derivatives and machine code are generated from the formula once; nothing is differentiated by hand.
+- A parameter has a name, an SI unit (`1` for none), a meaning, its lowest and highest value, its
+  expected size (`0.1` above), and `null`, the value at which the effect vanishes. At least one parameter
+  needs a null. With `weight_power=1.0` the expected size is per newton of the object's weight, so
+  light and heavy objects are treated alike. Parameters without a null only shape the effect;
+  `starts` gives their starting values for the search, `far_starts` starting values away from the nulls.
 - A faulty file is refused with file and line: wrong units, an effect that does not vanish at its null,
-  formulas that are not finite or have no derivative where the object lies still (write
+  formulas that are not finite or have no derivative where the object is at rest (write
   `sqrt(vx**2 + vy**2 + 1e-4**2)`, not `sqrt(vx**2 + vy**2)`), names that do not exist, misspelt methods.
-  A helper method of your own begins with an underscore.
+  Start the name of a helper method of your own with an underscore.
 
-A class overrides what it changes and leaves the rest:
+A class overrides only the methods that it changes:
 
 | method | returns |
 | --- | --- |
@@ -65,13 +65,13 @@ A class overrides what it changes and leaves the rest:
 `body` knows {body}.
 
 `cell` knows all that and {cell}; its `x` and `y` are those of the cell.
-`models/effects/symbols.py` says what each is. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
-`positive_part` and `smooth_step` there are a maximum and a step that can be differentiated. To carry
-numbers from step to step, name them in `memory` and renew them in `remember`.
+`models/effects/symbols.py` defines each. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
+That file also has `positive_part` and `smooth_step`, a differentiable maximum and step. To carry
+numbers from step to step, name them in `memory` and update them in `remember`.
 
-Where several datasets are diagnosed together, `belongs_to` says what has the effect: `"object"`, as it is
-unless you say otherwise, gives each dataset parameters of its own; `"table"`, `"tracker"`, `"finger"` and
-`"force sensor"` one set for all.
+When several datasets are diagnosed together, `belongs_to` says what has the effect: `"object"`, the
+default, gives each dataset its own parameters; `"table"`, `"tracker"`, `"finger"` and
+`"force sensor"` give all datasets one set.
 """
 
 _METHODS = {

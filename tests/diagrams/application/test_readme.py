@@ -54,7 +54,7 @@ def test_an_example_runs(example, beside_the_demo, capsys):
     given = run_example(example)
     said = capsys.readouterr().out
     if "maps_figure" in example.code:
-        assert re.match(r"pushes that were held out end \d+\.\d mm", said)
+        assert re.match(r"held-out pushes end \d+\.\d mm", said)
         assert "finger friction" in said
         assert (beside_the_demo / "maps.png").stat().st_size > 10_000
     elif "start_pose=np.zeros(3)" in example.code:
