@@ -1,4 +1,4 @@
-"""What a page of HTML looks like, for notebooks that write one."""
+"""Pictures of HTML pages, for notebooks that write one."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
+
+from IPython.display import Image
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = (
@@ -16,16 +18,27 @@ _FLAGS = (
 _PATIENCE = 60.0  # s for a browser to draw a page
 
 
+def page_shown(page: Path, height: int) -> Image | str:
+    """The upper part of a page as a notebook shows it; without a browser, where to find the page.
+
+    Args:
+        page: HTML file that needs no network.
+        height: of the window, pixels.
+    """
+    picture = page_picture(page, 1000, height)
+    return f"open {page} in a browser" if picture is None else Image(picture)
+
+
 def page_picture(page: Path, width: int = 1000, height: int = 700) -> bytes | None:
     """PNG of the upper part of a page.
 
     Args:
         page: HTML file that needs no network.
-        width: of the window, pixels.
-        height: of the same.
+        width: of the browser's window, pixels.
+        height: of the window, pixels.
 
     Returns:
-        The picture; None where there is no Chromium or Chrome, or it makes none.
+        The picture; None without Chromium or Chrome, or if the browser makes none.
 
     Raises:
         FileNotFoundError: there is no such page.

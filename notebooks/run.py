@@ -1,7 +1,7 @@
 """Run notebooks from top to bottom and keep what they show: `python notebooks/run.py NOTEBOOK …`.
 
-Jupyter does the same with more noise in the file: here counters, times and versions are left out, and
-pictures are packed small, so that a change of a notebook reads as one.
+Jupyter does the same, but writes more into the file. Here counters, times and versions are left out and
+pictures are compressed, so that a diff shows only what changed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 COLOURS = 128
-"""Of a picture that is kept."""
+"""Colours of a kept picture."""
 
 METADATA = {
     "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"},
@@ -24,11 +24,11 @@ METADATA = {
 }
 
 SHOWN = ("image/png", "image/svg+xml", "text/html", "text/markdown", "text/plain")
-"""Kinds of output that are kept; of one output the first that it has, and its text."""
+"""Kinds of output that are kept, best first; of each output, only the first kind it has."""
 
 
 class CellFailed(RuntimeError):
-    """A cell of a notebook raised an exception. The text names the cell and shows its source."""
+    """A cell of a notebook raised an exception. The message names the cell and shows its source."""
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Run notebooks from top to bottom and keep what they show.")
     parser.add_argument("notebooks", type=Path, nargs="+", metavar="NOTEBOOK")
     parser.add_argument(
-        "--check", action="store_true", help="only run them, here; the files stay as they are"
+        "--check", action="store_true", help="only run them, in the current folder; do not write the files"
     )
     arguments = parser.parse_args()
     shell = _shell()
@@ -54,14 +54,14 @@ def main() -> None:
 
 
 def execute(notebook: dict[str, Any], shell: Any) -> None:
-    """Run all code cells, and put what they show in place of their outputs.
+    """Run all code cells and replace their outputs.
 
     Args:
-        notebook: that is changed.
-        shell: with nothing defined yet.
+        notebook: changed in place.
+        shell: a shell in which nothing is defined yet.
 
     Raises:
-        CellFailed: one raised an exception; those behind it were not run.
+        CellFailed: a cell raised an exception; the cells after it were not run.
     """
     from IPython.utils.capture import capture_output
 
@@ -77,14 +77,14 @@ def execute(notebook: dict[str, Any], shell: Any) -> None:
 
 
 def _shell() -> Any:
-    """What runs cells as Jupyter does, without a server: magics, the last expression, figures in line."""
+    """A shell that runs cells as Jupyter does, without a server: magics, last expressions, inline figures."""
     os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     from IPython.core.displayhook import DisplayHook
     from IPython.core.interactiveshell import InteractiveShell
 
     class Published(DisplayHook):
         def __call__(self, result: object = None) -> None:
-            """Show the last expression of a cell like everything else, unless it ends in a semicolon."""
+            """Publish the value of a cell's last expression, unless the cell ends in a semicolon."""
             if result is not None and not self.quiet():
                 self.shell.display_pub.publish(*self.compute_format_data(result))
 
@@ -92,15 +92,15 @@ def _shell() -> Any:
         displayhook_class = Published
 
         def enable_gui(self, gui: str | None = None) -> None:
-            """There is none."""
+            """Do nothing: there is no GUI."""
 
     shell = Shell.instance(colors="nocolor")
-    shell.history_manager.enabled = False  # nothing goes to the user's own history
+    shell.history_manager.enabled = False  # keep out of the user's own history
     return shell
 
 
 def as_text(notebook: dict[str, Any]) -> str:
-    """The notebook's file, always the same for the same cells and outputs."""
+    """Text of the notebook's file; the same cells and outputs always give the same text."""
     cells = []
     for cell in notebook["cells"]:
         kept = {"cell_type": cell["cell_type"], "metadata": {}, "source": _lines("".join(cell["source"]))}
@@ -118,14 +118,14 @@ def _kept(shown: Any) -> list[dict[str, Any]]:
     for output in shown.outputs:
         kind = next(kind for kind in SHOWN if kind in output.data)
         if "<iframe" in str(output.data[kind]):
-            continue  # shows a file that is there only where the notebook has run
+            continue  # it shows a file that exists only where the notebook has run
         data = {kind: _packed(output.data[kind]) if kind == "image/png" else _lines(output.data[kind])}
         outputs.append({"data": data, "metadata": {}, "output_type": "display_data"})
     return outputs
 
 
 def _packed(picture: bytes | str) -> str:
-    """A PNG with few colours, as Jupyter writes it."""
+    """A PNG with few colours, in base64 as Jupyter writes it."""
     from PIL import Image
 
     content = base64.b64decode(picture) if isinstance(picture, str) else picture

@@ -1,4 +1,4 @@
-"""A Drake diagram as an N² chart: systems on the diagonal, what one tells another where they meet."""
+"""A Drake diagram as an N² chart: systems on the diagonal, their connections off it."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ if TYPE_CHECKING:
     from pydrake.systems.framework import Diagram
 
 LONGEST = 14
-"""Letters of a port's name in one line; longer ones are broken at a dot or an underscore."""
+"""Characters of a port's name per line; longer names are broken at dots and underscores."""
 
-_LETTER, _LINE = 0.067, 0.135  # inches, of a port's name
-_BOLD = 0.075  # inches, a letter of a system's name
+_LETTER, _LINE = 0.067, 0.135  # inches, width and height of a character of a port's name
+_BOLD = 0.075  # inches, width of a character of a system's name
 _GAP = 0.12  # inches between two columns or rows
 
 
 @styled
 def wiring_figure(diagram: Diagram) -> Figure:
-    """Systems of a diagram in the order in which they were added, and the connected output ports of each.
+    """Draw the systems of a diagram, in the order in which they were added, and their connections.
 
-    Outputs leave to the left and right and enter from above and below: what stands in the row of one system
-    and the column of another goes from the first to the second.
+    Names of output ports in the row of one system and the column of another are connections from the first to
+    the second.
 
     Args:
-        diagram: with connections between its systems; exported ports are not shown.
+        diagram: the diagram; its exported ports are not shown.
     """
     systems = diagram.GetSystems()
     place = {system.get_name(): k for k, system in enumerate(systems)}
-    told: dict[tuple[int, int], list[str]] = {}
+    ports: dict[tuple[int, int], list[str]] = {}
     for (target, _), (source, port) in diagram.connection_map().items():
-        names = told.setdefault((place[source.get_name()], place[target.get_name()]), [])
+        names = ports.setdefault((place[source.get_name()], place[target.get_name()]), [])
         name = broken(source.get_output_port(port).get_name())
         if name not in names:
             names.append(name)
     titles = [name.replace("_", "\n") for name in place]
     wide = np.array([_BOLD * max(map(len, title.split("\n"))) + 0.15 for title in titles])
     high = np.array([0.2 * (1 + title.count("\n")) + 0.12 for title in titles])
-    for (source, target), names in told.items():
+    for (source, target), names in ports.items():
         lines = "\n".join(names).split("\n")
         wide[target] = max(wide[target], _LETTER * max(map(len, lines)))
         high[source] = max(high[source], _LINE * len(lines))
@@ -53,7 +53,7 @@ def wiring_figure(diagram: Diagram) -> Figure:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
-    for (source, target), names in told.items():
+    for (source, target), names in ports.items():
         for points in (([x[source], x[target]], [y[source]] * 2), ([x[target]] * 2, [y[source], y[target]])):
             axes.plot(*points, color=FAINT, linewidth=0.8, zorder=1)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
@@ -70,8 +70,10 @@ def wiring_figure(diagram: Diagram) -> Figure:
 
 
 def broken(name: str) -> str:
-    """A port's name in lines of up to `LONGEST` letters, where its dots and underscores allow it; those after
-    the first are indented."""
+    """Break a port's name into lines of up to `LONGEST` characters where its dots and underscores allow it.
+
+    All lines but the first are indented.
+    """
     lines = [""]
     for part in re.findall(r"[^._]+[._]?", name):
         if lines[-1].strip() and len(lines[-1] + part) > LONGEST:

@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom, and what they show is kept with them: small, and whole."""
+"""The notebooks run from top to bottom, and their files keep small but complete outputs."""
 
 import base64
 import importlib.util
@@ -16,6 +16,8 @@ FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 RUNNER = FOLDER / "run.py"
 LARGEST = 300_000  # bytes
+LONGEST_CELL = 15  # lines
+MOST_IMPORTS = 8  # lines
 
 MACHINE_PATH = re.compile(r"(?<![\w.])/(home|root|tmp|work|Users|usr|opt|var)/")
 
@@ -23,19 +25,19 @@ each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path
 
 
 def run(paths: list[Path], folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":
-    """Run notebooks in a folder that looks like the project's."""
+    """Run notebooks in a folder laid out like the project."""
     here = folder / "notebooks"
     here.mkdir(exist_ok=True)
     if not (folder / "docs").exists():
         (folder / "docs").symlink_to(ROOT / "docs")
     command = [sys.executable, str(RUNNER), *map(str, paths), *options]
-    # A twin that keeps up with real time has no room beside other tests.
+    # A twin cannot keep up with real time while other tests run.
     environment = {**os.environ, "SLIPMAP_CELL": "lockstep"}
     return subprocess.run(command, cwd=here, env=environment, capture_output=True, text=True, timeout=600)
 
 
 def texts(notebook: dict) -> list[str]:
-    """All that a notebook shows, but for pictures."""
+    """All outputs of a notebook except pictures."""
     found = []
     for cell in notebook["cells"]:
         for output in cell.get("outputs", []):
@@ -46,7 +48,7 @@ def texts(notebook: dict) -> list[str]:
 
 
 def small_notebook(path: Path, *sources: str) -> Path:
-    """A notebook of a few cells of code."""
+    """A notebook with a few code cells."""
     cells = [
         {"cell_type": "code", "metadata": {"collapsed": True}, "source": text, "outputs": []}
         for text in sources
@@ -63,7 +65,7 @@ def test_there_are_notebooks():
 
 @each_notebook
 def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
-    """Each in a process of its own, as Jupyter has it."""
+    """Each in a process of its own, as in Jupyter."""
     ended = run([path], tmp_path, "--check")
     assert ended.returncode == 0, ended.stderr
 
@@ -95,6 +97,20 @@ def test_notebook_is_written_as_the_runner_writes_it(path):
     runner = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(runner)
     assert path.read_text() == runner.as_text(json.loads(path.read_text())), "run `make notebooks`"
+
+
+@each_notebook
+def test_a_notebook_is_easy_to_read(path):
+    """It states how long it runs, has short cells and few imports, and asserts what it says."""
+    cells = json.loads(path.read_text())["cells"]
+    text, code = (
+        ["".join(cell["source"]) for cell in cells if cell["cell_type"] == kind]
+        for kind in ("markdown", "code")
+    )
+    assert re.search(r"^\*Runs in ", text[0], flags=re.M)
+    assert max(len(cell.splitlines()) for cell in code) <= LONGEST_CELL
+    assert len(re.findall(r"^(?:import|from) ", "\n".join(code), flags=re.M)) <= MOST_IMPORTS
+    assert len(re.findall(r"^ *(?:testing\.assert_|assert )", "\n".join(code), flags=re.M)) >= 3
 
 
 @each_notebook
