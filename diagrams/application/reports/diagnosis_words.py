@@ -274,7 +274,7 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
                 nats(c.first_gain),
                 nats(c.gain),
                 nats(c.evidence),
-                "not ruled out" if c.in_set else "ruled out",
+                "not ruled out" if c.in_set else c.objection or "ruled out: others explain more",
             ]
             for c in diagnosis.candidates
         ],

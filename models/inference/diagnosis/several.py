@@ -8,7 +8,7 @@ tracker.
    anyway (Laplace). Effects whose evidence is close to the best are rivals.
 4. The locked pushes judge each rival, with the maps of every object refitted and the shared parameters held.
    Their cost must drop in total and in most datasets. A rival that falls behind on open and locked pushes
-   together is out.
+   together is out. If a rival that fails on the locked pushes is still far ahead, nothing is named.
 
 Effects of an object have separate parameters in each dataset; for a whole locked object they are free.
 """
@@ -70,6 +70,7 @@ class JointCandidate:
     gain: float | None  # the same after a full refit; None without one
     evidence: float | None  # the same less what its parameters would gain anyway
     in_set: bool  # whether the data cannot rule it out
+    objection: str | None  # what speaks against an effect that the locked pushes have judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,6 +338,9 @@ class _Inquiry:
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
+        objections = {one.effect.name: self._objection(one) for one in judged if one not in there}
+        if there and any(one.score > best + _RIVAL for one in judged if one not in there):
+            kept = []
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
@@ -344,6 +348,7 @@ class _Inquiry:
                 base.cost - fits[one.effect.name].cost if one.effect.name in fits else None,
                 evidence.get(one.effect.name),
                 any(one.effect is rival.effect for rival in kept),
+                objections.get(one.effect.name),
             )
             for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.gain - 1e6))
         )
@@ -366,6 +371,20 @@ class _Inquiry:
             falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
             asked += not ground.whole
         return _Judged(effect, fit, after, falls, evidence + sum(falls))
+
+    def _objection(self, one: _Judged) -> str:
+        """Why the locked pushes or its interval speak against an effect."""
+        if one.fall <= _RIVAL:
+            return "the locked pushes are not clearly predicted better with it"
+        if not one.falls_in_most:
+            names = [g.taught.dataset.name for g in self.grounds]
+            worse = [
+                name
+                for name, fall, now in zip(names, one.falls, one.after, strict=True)
+                if now is not None and fall <= 0.0
+            ]
+            return f"the locked pushes of {', '.join(worse)} are predicted worse with it"
+        return "its 90 % interval includes the value without the effect"
 
     def _there(self, one: _Judged) -> bool:
         """Whether the interval of any amplitude excludes its null; True for an effect that is not shared."""
@@ -399,9 +418,9 @@ class _Inquiry:
             )
         elif judged:
             verdict = "undecided"
+            first = max(judged, key=lambda one: one.score)
             sentence = (
-                f"On the open pushes, {judged[0].effect.name} would explain something, but the locked pushes"
-                " are not clearly predicted better with it."
+                f"{first.effect.name} would explain most, but {self._objection(first)}. No effect is named."
             )
         elif squares and float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
             verdict = "undecided"

@@ -27,8 +27,8 @@ def made(*falls, verdict="effect"):
         for k, fall in enumerate(falls)
     )
     candidates = (
-        JointCandidate("sensor_latency", 20.0, 25.0, 22.0, named),
-        JointCandidate("skate", 1.0, None, None, False),
+        JointCandidate("sensor_latency", 20.0, 25.0, 22.0, named, None),
+        JointCandidate("skate", 1.0, None, None, False, None),
     )
     return JointDiagnosis(
         verdict, "A sentence.", ("sensor_latency",) if named else (), named, lag, candidates, datasets,

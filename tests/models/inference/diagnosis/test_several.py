@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.library import AnisotropicTable, SensorLatency, TrackerScale
+from slipmap.models.inference.diagnosis import several
 from slipmap.models.inference.diagnosis.several import _between, diagnose_together, named_by_evidence
 from slipmap.models.measurements import DatasetError
 
@@ -71,3 +72,26 @@ def test_variance_between_datasets_is_what_their_own_does_not_explain():
     deviations = np.array([0.1, 0.1, 0.1])
     assert _between(np.array([1.0, 1.05, 0.95]), deviations) == 0.0
     assert _between(np.array([0.0, 1.0, 2.0]), deviations) == pytest.approx(1.0 - 0.01)
+
+
+def test_nothing_is_named_behind_an_effect_that_fails_in_one_dataset_but_explains_far_more(
+    recorded, monkeypatch
+):
+    falls = {"sensor_latency": [175.0, -9.0], "tracker_scale": [67.0, 2.0]}
+    own = several._Inquiry._judge
+
+    def judge(self, fit, evidence, progress):
+        judged = own(self, fit, evidence, progress)
+        fallen = falls[judged.effect.name]
+        return dataclasses.replace(judged, falls=fallen, score=100.0 + sum(fallen))
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    monkeypatch.setattr(several._Inquiry, "_there", lambda self, one: True)
+    monkeypatch.setattr(several, "_EVIDENCE", -np.inf)
+    pair = [late(recorded.dataset, 0.03, "first"), late(recorded.dataset, 0.03, "second")]
+
+    undecided = diagnose_together(pair, effects=[SensorLatency(), TrackerScale()])
+    assert undecided.verdict == "undecided" and undecided.effects == ()
+    objection = "the locked pushes of second are predicted worse with it"
+    assert f"sensor_latency would explain most, but {objection}" in undecided.sentence
+    assert {c.name: c.objection for c in undecided.candidates}["sensor_latency"] == objection
