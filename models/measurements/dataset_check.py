@@ -28,6 +28,7 @@ from slipmap.models.measurements.importing.clocks import (
     rises_after_touch,
 )
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
+from slipmap.models.measurements.trial_checks import impossible
 from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
@@ -136,12 +137,15 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         *_rates(dataset),
         *_rows_left_out(dataset),
         *_clocks(dataset),
+        *_impossible(dataset),
         *_depth(dataset, rows),
         *_forces(dataset, rows),
     ]
-    said = " ".join(finding.advice for finding in findings)
+    said = [finding.advice for finding in findings if finding.advice]
     findings += [
-        Finding("reading", text, "note") for text in dataset.warnings if text not in said and len(text) < 600
+        Finding("reading", text, "note")
+        for text in dataset.warnings
+        if len(text) < 600 and not any(text in advice or advice in text for advice in said)
     ]
     coverage = _coverage(dataset, rows)
     effects = tuple(Told(name, needs(coverage), reason) for name, (needs, reason) in EFFECT_NEEDS.items())
@@ -260,6 +264,15 @@ def _speed(trial: Trial) -> float:
     time = np.linspace(begin, end, 200)
     place = trial.object_pose.at(time)[:, :2]
     return float(np.percentile(np.hypot(*np.gradient(place, time, axis=0).T), 90))
+
+
+def _impossible(dataset: PushDataset) -> list[Finding]:
+    """Records that cannot be those of pushes."""
+    found = [fault for trial in dataset.trials for fault in [*impossible(dataset, trial)][:1]]
+    if len(found) <= _WRONG_SHARE * len(dataset.trials):
+        return []
+    text = f"not possible in {len(found)} of {len(dataset.trials)} pushes"
+    return [Finding("units and frames", text, "wrong", max(found, key=found.count))]
 
 
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:

@@ -364,12 +364,11 @@ def _degrees(pose: Channel, where: str) -> list[str]:
     return []
 
 
-def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
-    moved = _moved(setup, trial)
+def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
+    """Reasons why a record cannot be that of a push, so that a unit or a frame must be wrong."""
     if _fastest(trial.object_pose) > _LARGEST_SPEED:
         yield f"the object moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
-    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
-        yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
+    moved = _moved(setup, trial)
     stays = len(trial.tip_pose.time) == 1 or not trial.has_finger
     if moved and stays and not trial.initial_velocity().any():
         yield "a resting object begins to move, but " + (
@@ -379,15 +378,23 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
         )
     if not trial.has_finger:
         return
-    if _stands_still(setup, trial):
-        yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
-    if moved and _pulls(setup, trial):
-        yield _PULLS
-    _refuse_foreign_clocks(trial, where)
     if _fastest(trial.tip_pose) > _LARGEST_SPEED:
         yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
     if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
         yield "the object moves, but the tip never touches its outline; is one of them in the wrong frame?"
+
+
+def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
+    yield from impossible(setup, trial)
+    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
+        yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
+    if not trial.has_finger:
+        return
+    if _stands_still(setup, trial):
+        yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
+    if _moved(setup, trial) and _pulls(setup, trial):
+        yield _PULLS
+    _refuse_foreign_clocks(trial, where)
     if _ends_early(trial):
         yield "the tip's rows end while it is still moving; it is held at its last position from there on"
 

@@ -76,6 +76,20 @@ def test_a_finger_inside_the_object_is_wrong():
     assert finding(changed(tipped(lambda tip: tip + np.array([0.01, 0.0]))), "contact").verdict == "wrong"
 
 
+@pytest.mark.parametrize(
+    ("change", "advice"),
+    [
+        (tipped(lambda tip: np.asarray(tip) * 0.1), "never touches its outline"),
+        (posed(lambda pose: np.asarray(pose) * [1e3, 1e3, 1.0]), "faster than 10 m/s"),
+    ],
+)
+def test_pushes_that_cannot_be_are_wrong(change, advice):
+    check = check_dataset(replace(straight_pushes(8), trials=tuple(map(change, straight_pushes(8).trials))))
+    found = finding(check, "units and frames")
+    assert check.wrong and found.verdict == "wrong" and advice in found.advice
+    assert "8 of 8 pushes" in found.found
+
+
 def test_unseen_motion_is_told():
     def gap(trial):
         kept = np.r_[0:80, 115 : len(trial.object_pose.time)]
