@@ -91,7 +91,7 @@ def _show_advice(found: DatasetCheck, where: Path) -> None:
     paragraph(
         "Something is WRONG: correct it first, or what is learned will be wrong."
         if found.wrong
-        else f"Nothing is wrong. Next: slipmap identify {where} -o belief.npz"
+        else f"The recording is sound. Next: slipmap identify {where} -o belief.npz"
     )
 
 
@@ -124,7 +124,7 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
         done = html_table(["processing steps"], [[sentence] for sentence in found.provenance])
         sections.append(Section("provenance", "Provenance", done))
     wrong = [one.what for one in found.findings if one.verdict == "wrong"]
-    headline = f"Wrong: {', '.join(wrong)}." if wrong else "Nothing is wrong with these pushes."
+    headline = f"Wrong: {', '.join(wrong)}." if wrong else "The recording is sound."
     lead = [f"Worth adding: {wanted}." for wanted in found.advice]
     subtitle = f"{len(dataset.trials)} pushes, before anything is learned"
     return page(f"{found.dataset}: check", subtitle, lead, sections, headline)

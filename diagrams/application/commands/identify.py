@@ -99,7 +99,7 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
     found = check_dataset(dataset)
     wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
     more = f"; `slipmap check {where}` says more"
-    note(f"check: wrong: {', '.join(wrong)}{more}" if wrong else "check: nothing is wrong")
+    note(f"check: wrong in the recording: {', '.join(wrong)}{more}" if wrong else "check: recording is sound")
     note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes to add")
 
 
@@ -204,6 +204,7 @@ def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
 
 def show(result: Identification, dataset: PushDataset, where: str | None) -> None:
     """Print an identification; `where` as in `show_errors`."""
+    from slipmap.diagrams.application.reports.comparison_words import advice
     from slipmap.diagrams.application.reports.tables import (
         is_doubted,
         show_errors,
@@ -217,11 +218,21 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         f"{len(result.belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where)
+    missed = max(result.belief.settings.get("model_errors", [0.0]))
+    far_off = missed >= _FAR_OFF
+    if far_off:
+        paragraph(
+            f"THE MODEL DOES NOT EXPLAIN THESE PUSHES: with the best maps, it is off by about"
+            f" {100 * missed:.0f} % of the distance moved. {advice(where or 'DATASET')}"
+        )
     show_friction_laws(result.friction_laws)
     if result.share_of_known is not None:
         paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)
-    show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
+    show_quantities(result.quantities, doubted=far_off or is_doubted(result.pushes, dataset))
 
+
+_FAR_OFF = 0.1
+"""Model error, as a share of the distance moved, from which a model does not explain the pushes."""
 
 _THEY_FIT = "The pushes agree with the known maps: free maps do not explain them much better."
 _THEY_DO_NOT_FIT = (

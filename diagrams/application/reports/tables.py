@@ -118,10 +118,20 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
         )
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:
-        found.append(
-            f"Held-out pushes hardly test the maps: a uniform object predicts them about as well or better"
-            f" ({1e3 * uniform:.1f} mm; the belief {1e3 * errors.mean():.1f} mm)."
-        )
+        numbers = f"({1e3 * uniform:.1f} mm; the belief {1e3 * errors.mean():.1f} mm)"
+        fitted = [push for push in pushes if push.role == "fit"]
+        better_fitted = sum(p.final_add for p in fitted) < HARDLY_BETTER * sum(p.uniform_add for p in fitted)
+        if errors.mean() > uniform and better_fitted:
+            found.append(
+                f"A uniform object predicts held-out pushes better {numbers}, though not the fitted ones: the"
+                " maps explain what they were fitted to and little else. `slipmap compare` shows where the"
+                " model fails."
+            )
+        else:
+            found.append(
+                "Held-out pushes hardly test the maps: a uniform object predicts them about as well"
+                f" {numbers}."
+            )
     return found
 
 

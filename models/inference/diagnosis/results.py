@@ -135,7 +135,8 @@ class Diagnosis(Outcome):
         if self.verdict == "effect":
             names = " ".join(f"--effect {name}" for name in self.effects)
             more = "" if set(self.best.effects) <= set(LIBRARY) else " --effect-file FILE"
-            return f"run `slipmap fit {where} {names}{more} -o belief.npz` to learn this model."
+            output = f"with-{'-'.join(self.effects)}.npz"
+            return f"run `slipmap fit {where} {names}{more} -o {output}` to learn this model."
         if self.verdict == "ambiguous":
             return f"{push} into the same folder, then run {again} again."
         if self.verdict == "unknown":

@@ -47,7 +47,7 @@ def test_import_and_check(slipmap, lab):
     assert said.code == 0, said.err
     document = json.loads((lab / "c.json").read_text())
     assert_as_described("check", document)
-    assert not document["wrong"] and "Nothing is wrong" in said.out
+    assert not document["wrong"] and "recording is sound" in said.out
     page = (lab / "c.html").read_text()
     assert "<svg" in page or "data:image/svg" in page
     assert "imported from push.csv" in page
