@@ -93,6 +93,12 @@ class Belief:
     effects: tuple[Effect, ...] = ()
     table: Table | None = None
 
+    def __repr__(self) -> str:
+        effects = f", effects {', '.join(effect.name for effect in self.effects)}" if self.effects else ""
+        return (
+            f"Belief(dataset {self.dataset!r}: {len(self)} hypotheses about {len(self.grid)} cells{effects})"
+        )
+
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
             cells = self.maps.mass.shape[1]

@@ -56,6 +56,14 @@ class Identification:
     share_of_known: float | None = None
     without_effects: Identification | None = None
 
+    def __repr__(self) -> str:
+        errors = ", ".join(
+            f"{1e3 * self.errors(role).mean():.2f} mm over {len(self.errors(role))} {role} pushes"
+            for role in ("fit", "heldout")
+            if len(self.errors(role))
+        )
+        return f"Identification({self.belief!r}; mean ADD at the end {errors})"
+
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
         """Final ADD (m) of the pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])

@@ -34,13 +34,15 @@ _SPREAD = Number(
 
 
 def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushDataset:
-    """The dataset with known maps from a YAML file with the keys of `known` in a dataset.yaml.
+    """The dataset with known maps from a YAML file with `known` of a dataset.yaml, or the keys under it.
 
     Raises:
         DatasetError: the file cannot be used, or does not match the object; the message names file and key.
     """
     where = str(path)
     _, document = parsing.read_yaml(Path(path), where)
+    if isinstance(document, dict) and set(document) == {"known"}:
+        document, where = document["known"], f"{where}: known"
     known, warnings = parse_known(document, dataset.grid, dataset.mass, where)
     return replace(dataset, known=known, warnings=(*dataset.warnings, *warnings))
 

@@ -339,6 +339,12 @@ class PushDataset(Setup):
     warnings: tuple[str, ...] = ()
     provenance: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return (
+            f"PushDataset({self.name!r}: {len(self.grid)} cells, {len(self.fit_trials)} pushes to fit,"
+            f" {len(self.heldout_trials)} held out)"
+        )
+
     def __post_init__(self) -> None:
         for what, value in (
             ("height", self.height),

@@ -53,7 +53,7 @@ def check(
         if output is not None:
             write_text(output, _page(found, measured))
     write_json(json_file, found.to_json())
-    _show(found, dataset)
+    _show(found, dataset, f"{dataset}" + (f" --object {object_name}" if object_name else ""))
     if output is not None:
         note(f"page: {output}")
     if found.wrong:
@@ -63,7 +63,8 @@ def check(
 _SIGNS = {"good": "", "note": "note", "wrong": "WRONG"}
 
 
-def _show(found: DatasetCheck, where: Path) -> None:
+def _show(found: DatasetCheck, folder: Path, where: str) -> None:
+    """Print a check; `where` is the dataset as a command takes it."""
     rows = [[finding.what, finding.found, _SIGNS[finding.verdict]] for finding in found.findings]
     table(f"{found.dataset}: what was measured", ["check", "found", ""], rows)
     for finding in found.findings:
@@ -77,16 +78,17 @@ def _show(found: DatasetCheck, where: Path) -> None:
         paragraph(f"These pushes could reveal these {words}: {', '.join(could) or 'none'}.")
         if other:
             paragraph(f"They could not reveal, for the reason in brackets: {', '.join(other)}.")
-    _show_advice(found, where)
+    _show_advice(found, folder, where)
 
 
-def _show_advice(found: DatasetCheck, where: Path) -> None:
+def _show_advice(found: DatasetCheck, folder: Path, where: str) -> None:
     for wanted in found.advice:
         paragraph(f"Worth adding: {wanted}.")
     if found.advice:
+        again = f" and import everything again: slipmap import SOURCE... --setup setup.yaml -o {folder}"
         paragraph(
-            "Record them and import everything again: slipmap import SOURCE... --setup setup.yaml -o"
-            f" {where}. After a first belief, `slipmap diagnose {where}` plans the most informative push."
+            f"Record them{again if found.provenance else ' into the same place'}. After a first belief,"
+            f" `slipmap diagnose {where}` plans the most informative push."
         )
     paragraph(
         "Something is WRONG: correct it first, or what is learned will be wrong."

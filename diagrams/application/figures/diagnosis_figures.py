@@ -47,7 +47,8 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     candidates = diagnosis.candidates
     height = 0.62 + _ROW * len(candidates) + 0.12
     bottom, top = 0.12 / height, 1 - 0.62 / height
-    answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
+    objected = {name for names in diagnosis.objections for name in names.split(" and ")}
+    answered = [c.name in diagnosis.effects or (c.in_set and c.name not in objected) for c in candidates]
     told_of = list(zip(candidates, answered, strict=True))
     gains: list[float | None] = [c.gain for c in candidates]
     fitted = [c.fitted_gain for c in candidates]

@@ -91,6 +91,9 @@ class Diagnosis(Outcome):
     # the push to make next as plain numbers, filled in by a planner; None where it would decide nothing
     next_push: dict[str, object] | None = field(default=None)
 
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.verdict}: {self.sentence})"
+
     @property
     def before(self) -> LockedErrors | None:
         """Errors on locked pushes without any effect; None where none were locked."""

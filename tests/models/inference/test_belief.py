@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+import slipmap
 from slipmap.models.inference import belief
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.measurements import Table
@@ -133,3 +134,13 @@ def test_probabilities_are_checked():
     b = example()
     with pytest.raises(BeliefError, match="probabilities"):
         Belief(b.grid, 0.005, 9.8, b.maps, np.array([0.5, 0.3, 0.3]), b.smoothing, "", "", "paper", 0)
+
+
+def test_a_belief_and_its_dataset_are_shown_in_a_line() -> None:
+    """As the last line of a notebook's cell, too."""
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+    result = slipmap.identify(dataset, hypotheses=2, friction_laws=False)
+    assert repr(dataset) == "PushDataset('hammer': 60 cells, 2 pushes to fit, 1 held out)"
+    assert repr(result.belief) == "Belief(dataset 'hammer': 2 hypotheses about 60 cells)"
+    assert repr(result).startswith(f"Identification({result.belief!r}; mean ADD at the end ")
+    assert repr(result).endswith("over 1 heldout pushes)")

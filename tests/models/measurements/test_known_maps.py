@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 import yaml
+from straight_pushes import straight_pushes
 
 from slipmap.models.measurements import DatasetError, KnownMaps, read_dataset, write_dataset
+from slipmap.models.measurements.known_maps import with_known_maps
 
 CELLS = 25  # of the example, 5 by 5 of 20 mm; 1.2 kg
 
@@ -126,3 +128,15 @@ def test_maps_of_another_object_are_refused(example):
     dataset = read_dataset(example.write())
     with pytest.raises(DatasetError, match="friction has 3 values for 25 cells"):
         dataclasses.replace(dataset, known=KnownMaps(friction=np.ones(3)))
+
+
+def test_a_file_of_maps_may_begin_as_a_dataset_does(tmp_path):
+    dataset = straight_pushes(2)
+    under, bare = tmp_path / "under.yaml", tmp_path / "bare.yaml"
+    under.write_text("known: {friction: 0.3}\n")
+    bare.write_text("friction: 0.3\n")
+    assert np.array_equal(with_known_maps(dataset, under).known.friction, np.full(len(dataset.grid), 0.3))
+    assert np.array_equal(with_known_maps(dataset, bare).known.friction, np.full(len(dataset.grid), 0.3))
+    under.write_text("known: {friction: -1}\n")
+    with pytest.raises(DatasetError, match=r"under\.yaml: known: friction"):
+        with_known_maps(dataset, under)
