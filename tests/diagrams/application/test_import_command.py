@@ -68,7 +68,7 @@ def test_a_guess_is_written_once(slipmap, lab):
     written = where.read_text()
     assert yaml.safe_load(written)["object_pose"]["unit"] == {"position": "mm"}
     said = slipmap("import", lab / "push.csv", "--setup", where, "--guess")
-    assert said.code == 2 and "there is already" in " ".join(said.err.split())
+    assert said.code == 2 and "is there already" in " ".join(said.err.split())
     assert where.read_text() == written
     said = slipmap("import", lab / "push.csv", "--setup", where, "-o", lab / "pushes")
     assert said.code == 2 and "outline" in said.err and not (lab / "pushes").exists()
