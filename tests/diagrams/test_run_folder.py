@@ -241,7 +241,7 @@ def test_a_folder_without_a_run_is_told(tmp_path, content):
 def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
     (tmp_path / PUSHES).mkdir()
     (tmp_path / PUSHES / "notes.txt").write_text("mine")
-    with pytest.raises(BadInput, match="no push dataset"):
+    with pytest.raises(BadInput, match="not a push dataset"):
         ExplorationFolder(tmp_path, scenario(), OPTIONS)
 
 
