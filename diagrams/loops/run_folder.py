@@ -344,7 +344,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         for name, digest in run["digests"].items():
             if _digest_of(folder / name) != digest:
                 raise BadInput(
-                    f"{folder / name}: does not belong to the run in {folder / RUN}; start a new run"
+                    f"{folder / name}: is not the file of the run in {folder / RUN}; start a new run"
                 )
         scenario = read_settings(folder / SCENARIO, Scenario)
         stored = run["options"]

@@ -400,7 +400,7 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         try:
             float(value)
         except OverflowError as error:
-            wrong = f"{where} is too large a number, got {_shown(value)}"
+            wrong = f"{where} must be a number that fits in double precision, got {_shown(value)}"
             raise ScenarioError(f"{path}: {wrong}") from error
 
 

@@ -241,7 +241,7 @@ class BeliefVisualizer(PythonSystem):
 
     Args:
         path: of everything drawn, in the scene tree.
-        height: of the tiles above the table, m, while `seen_object` says nothing.
+        height: of the tiles above the table, m, without a `seen_object`.
         period: of drawing, s.
         X_WB: pose of the board; its picture is in the plane y = 0, seen from -y. By default it stands beside
             the table and faces a camera at `VIEW`.

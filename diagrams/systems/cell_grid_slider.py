@@ -80,7 +80,7 @@ def values_of(numbers: Any) -> FloatArray:
 
 
 def with_gradient(values: FloatArray, jacobian: FloatArray, arguments: Any) -> Any:
-    """AutoDiffXd (M,) of values with derivatives with respect to the arguments (N,) of `jacobian` (M, N)."""
+    """AutoDiffXd (M,) of values with their `jacobian` (M, N) with respect to the arguments (N,)."""
     value: Any = values
     return InitializeAutoDiff(value, jacobian @ ExtractGradient(arguments))[:, 0]
 

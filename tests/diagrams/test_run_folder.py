@@ -329,7 +329,7 @@ def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_do
     record = PregraspFolder(tmp_path, scenario())
     for number in (1, 2):
         record.keep(part(whole, number))
-    with pytest.raises(BadInput, match="pregrasp` that ended"):
+    with pytest.raises(BadInput, match="earlier run of `slipmap pregrasp`"):
         PregraspFolder(tmp_path, scenario())
     record.end()
     PregraspFolder(tmp_path, scenario()).keep(part(whole, 1))
