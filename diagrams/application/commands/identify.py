@@ -261,7 +261,8 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
 _SAID = {
     "for": "The pushes support {effects}.",
     "against": "THE PUSHES SPEAK AGAINST {effects}.",
-    "undecided": "The pushes do not show whether {effects} is present; its size holds only if it is.",
+    "undecided": "These {count} pushes alone do not show whether {effects} is present, and its size holds"
+    " only if it is; `slipmap diagnose` weighs all pushes.",
 }
 """What the pushes say about effects, by `Paired.verdict`."""
 
@@ -280,9 +281,10 @@ def _show_gain(result: Identification) -> None:
     change = f"Push by push, their misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
         change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
+    said = _SAID[paired.verdict].format(effects=effects, count=len(result.errors(role)))
     paragraph(
         f"{pushes} end {millimetres(now)} mm from their predictions on average; without {effects},"
-        f" {millimetres(before)} mm. {change}. {_SAID[paired.verdict].format(effects=effects)}"
+        f" {millimetres(before)} mm. {change}. {said}"
     )
 
 

@@ -1,19 +1,8 @@
-"""Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one."""
+"""Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one.
 
-from slipmap.diagrams.application.figures.diagnosis_figures import (
-    gain_figure,
-    locked_figure,
-    telling_push_figure,
-)
-from slipmap.diagrams.application.figures.effect_figures import effect_figure
-from slipmap.diagrams.application.figures.map_figures import maps_figure
-from slipmap.diagrams.application.figures.push_figures import error_figure, measured_figure, push_figures
-from slipmap.diagrams.application.figures.residual_figures import (
-    correlation_figure,
-    factor_figure,
-    object_figure,
-    residual_figures,
-    table_figure,
-)
-from slipmap.diagrams.application.figures.study_figures import calibration_figure
-from slipmap.diagrams.application.figures.style import draw_cells, draw_outline, save
+The names in `__init__.pyi` are imported on first use: an effect is drawn with its formula, which loads sympy.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

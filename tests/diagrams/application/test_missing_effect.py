@@ -69,7 +69,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     ("factors", "sentence"),
     [
         ([0.5, 0.6, 0.4, 0.5], "The pushes support table_tilt."),
-        ([0.5, 1.6, 0.7, 1.3], "The pushes do not show whether table_tilt is present"),
+        ([0.5, 1.6, 0.7, 1.3], "pushes alone do not show whether table_tilt is present"),
         ([1.5, 1.6, 1.3, 1.8], "THE PUSHES SPEAK AGAINST table_tilt."),
     ],
 )
