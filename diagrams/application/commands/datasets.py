@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -185,6 +186,8 @@ def import_files(
             progress=lambda done, total: progress("reading recordings", done, total),
             tell=lambda warning: note(f"warning: {warning}"),
         )
+        if dataset.name == setup.stem:  # the setup gives no name of its own
+            dataset = replace(dataset, name=output.absolute().name)
         with writing(output):
             write_dataset(dataset, output, overwrite=True)
         from slipmap.diagrams.application.figures import measured_figure

@@ -37,7 +37,7 @@ def lab(tmp_path):
 def test_import_and_check(slipmap, lab):
     said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
     assert said.code == 0, said.err
-    assert "1 push, 0 of them held out" in said.out
+    assert "pushes: 1 push, 0 of them held out" in said.out
     assert (lab / "pushes.png").stat().st_size > 10_000
     dataset = read_dataset(lab / "pushes")
     assert dataset.trials[0].object_pose.values[-1, 0] == pytest.approx(WAY[-1] - 0.01, abs=1e-6)
