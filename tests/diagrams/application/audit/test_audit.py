@@ -153,9 +153,9 @@ class Broken(CoulombEngine):
         ("no force", r"step\(\) must return 2 finite numbers, got None"),
         ("nan", r"pose\(\) must return 3 finite numbers"),
         ("two numbers", r"pose\(\) must return 3 finite numbers"),
-        ("elsewhere", r"after reset\(\) at x, y, θ = \[0.0, 0.0, 0.0\] pose\(\) gives \[0.5, 0.5, 0.5\]"),
+        ("elsewhere", r"after reset\(\) at x, y, θ = \[0.0, 0.0, 0.0\], pose\(\) returns \[0.5, 0.5, 0.5\]"),
         ("own step", r"__init__ sets dt = 0.001"),
-        ("level", r"moves by 0.0 mm in 0.25 s.*must use the gravity that it is given"),
+        ("level", r"moves 0.0 mm in 0.25 s.*must use the gravity that it is given"),
     ],
 )
 def test_a_broken_engine_is_refused_with_what_is_wrong(fault: str, said: str) -> None:
