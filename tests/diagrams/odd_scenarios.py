@@ -104,7 +104,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "in millimetres": (shape("block_mm"), "0.001"),
     "too heavy to be moved": (block(mass=150.0, mu=0.6), "takes 883 N to slide"),
     "under the arm": (block(pose=[-0.4, 0.0, 0.0]), "beside the arm at home"),
-    "small table": ({"object": BLOCK, "table": {"radius": 0.12}}, "of the picture; it takes 2 %"),
+    "small table": ({"object": BLOCK, "table": {"radius": 0.12}}, "of the picture; 2 % are needed"),
     "camera far": ({"object": BLOCK, "camera": {"height": 3.5}}, "depth scatters by 12.7 mm"),
     "camera far, without noise": (
         {
@@ -113,7 +113,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
             "depth_noise": {"axial_growth": 0.0},
             "table": {"radius": 0.2},
         },
-        "of the picture; it takes 2 %",
+        "of the picture; 2 % are needed",
     ),
     "0.1 Hz": ({"object": BLOCK, "camera": {"rate": 0.1}}, "take 150 s"),
     "20 mm of noise": ({"object": BLOCK, "depth_noise": {"axial_floor": 0.02}}, "depth scatters by 21.2 mm"),

@@ -138,7 +138,7 @@ def test_without_messages_it_is_told_what_is_missing():
     listener = PushListener(scenario(), "box", CELLS)
     assert "IIWA_STATUS, SCHUNK_WSG_STATUS, CAMERA_DEPTH, CAMERA_POSE" in why_none(listener)
     listener.hear(Event(0, 1, "IIWA_COMMAND", b""))
-    assert "what came is IIWA_COMMAND" in why_none(listener)
+    assert "messages came on IIWA_COMMAND" in why_none(listener)
 
 
 def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_path):

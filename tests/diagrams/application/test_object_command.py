@@ -73,7 +73,7 @@ def test_a_small_opening_is_not_closed_without_a_word(slipmap, tmp_path):
     cv2.imwrite(str(tmp_path / "plate.png"), labels)
     dataset, said = described(slipmap, tmp_path, tmp_path / "plate.png", "--metres-per-pixel", 0.001)
     assert len(dataset.grid.holes) == 1 and "80 mm by 40 mm with 1 opening" in said.out
-    assert "are closed: 1\n" in said.err
+    assert "openings closed as noise, each of less than 1 % of the object's area: 1\n" in said.err
 
 
 def test_an_axis_and_a_large_object_are_asked_about(slipmap, tmp_path, bracket):

@@ -215,5 +215,5 @@ def test_arm_says_what_it_is(station):
 
 
 def test_unknown_models_are_named():
-    with pytest.raises(ValueError, match=r"'meshes'; there are primitives, drake_models"):
+    with pytest.raises(ValueError, match=r"'meshes'; choose one of primitives, drake_models"):
         add_arm(MultibodyPlant(0.002), models="meshes")
