@@ -104,8 +104,8 @@ def explain(
 ) -> list[Explanation]:
     """Fit the plain law with every structure, and the other laws with the usual one.
 
-    The usual structure is the first, or `smooth` if the smallest α suits the first best. With `_ENOUGH_PUSHES`
-    or more, the likeliest law is fitted with every structure too.
+    The usual structure is the first, or `smooth` if the smallest α suits the first best. With at least
+    `_ENOUGH_PUSHES`, the likeliest law is fitted with every structure too.
 
     Args:
         dataset: the pushes, the object and its height.

@@ -127,7 +127,7 @@ class Rules:
         return None
 
     def missing(self, first: Screening) -> bool:
-        """Whether the model without effects misses anything."""
+        """Whether the model without effects lacks anything."""
         return self.found(first, 0.0, PROBE_GAIN) is not None
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
