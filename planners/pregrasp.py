@@ -65,7 +65,7 @@ def planning_belief(
 
 
 def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
-    """A belief in one hypothesis as the truth, without the model errors learned with the full belief."""
+    """A belief in one hypothesis as the truth, without the model errors learnt with the full belief."""
     settings = {**belief.settings, "planning": method}
     settings.pop(END_ERRORS, None)
     return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
@@ -122,7 +122,7 @@ def explore(
         learn: computes the belief from pushes; called before each push whose choice depends on it.
 
     Raises:
-        ObjectFell, PushNotMade, NoReachablePush: as there.
+        ObjectFell, PushNotMade, NoReachablePush: as for `learn_by_pushing`.
     """
     belief: Belief | None = None
     choices: list[Choice] = []
@@ -158,7 +158,7 @@ class Pregrasp:
     reason: str  # of success or failure, in words
     method: str  # of planning
     belief: Belief | None  # identified, with all hypotheses; None if exploration failed
-    explorations: tuple[Trial, ...] = ()  # pushes that it was learned from
+    explorations: tuple[Trial, ...] = ()  # pushes that it was learnt from
     goals: tuple[Goal, ...] = ()  # that were available
     goal: Goal | None = None  # the last one aimed at, if any
     pose: FloatArray | None = None  # (3,) last seen, world, if any
@@ -237,8 +237,8 @@ def bring_to_edge(
     goals = thing.sample_goals(world.table, rng, goal_allowed)  # line 5
     if not goals:
         reason = (
-            f"at none of {settings.goals.samples} poses at the edge does the object stay with a probability"
-            f" of {1 - settings.goals.epsilon:.0%} and can be grasped"
+            f"at none of {settings.goals.samples} poses at the edge can the object be grasped and stay on the"
+            f" table with a probability of {1 - settings.goals.epsilon:.0%}"
         )
         return Pregrasp(False, reason, method, belief)
 

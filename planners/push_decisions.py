@@ -140,7 +140,7 @@ def next_push(
     allowed: Allowed = lambda push: True,
     left_out: Collection[int] = (),
 ) -> tuple[PlannedPush, Way]:
-    """The next push towards a goal, and the way that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
+    """The next push towards a goal, and the `Way` that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
         belief, pose, goals, table, settings, rng, allowed: as for `decide`.

@@ -31,9 +31,9 @@ _REST = 0.1  # s for which it waits before it starts
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A model that may be true."""
+    """A candidate model."""
 
-    name: str  # for a person
+    name: str  # display name
     slider: Slider  # model
     maps: Maps  # one hypothesis
 

@@ -70,7 +70,7 @@ def diagnose(
         dataset, effects, draws, quick, seed, progress: as for `slipmap.models.inference.diagnosis.diagnose`.
 
     Raises:
-        DatasetError, EffectError, ValueError: as there.
+        DatasetError, EffectError, ValueError: as for that function.
 
     Example:
         >>> import slipmap
@@ -190,7 +190,7 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
     if diagnosis.verdict == "effect":
         best = diagnosis.best
         return Question(
-            (Rival.of(best), base), ((0, 1),), "shows it best", best.likelihood.error, dataset.grid, habits
+            (Rival.of(best), base), ((0, 1),), "best shows it", best.likelihood.error, dataset.grid, habits
         )
     gains = [(c.gain if c.fitted_gain is None else c.fitted_gain, c.name) for c in diagnosis.candidates]
     leading = [name for gain, name in sorted(gains, reverse=True)[:_LEADING] if gain > _LEADS]

@@ -305,7 +305,7 @@ def _singular_point(
     moving = [state for state in states if str(state).startswith("v_")]
     for divisor in _divisors(outputs):
         users = [entry for entry in outputs if entry.has(divisor)]
-        # Search at rest first: a place where an object rests says more than one that it passes.
+        # Search at rest first: a place where an object rests tells the user more than one that it passes.
         at_rest = [state for state in moving if state in divisor.free_symbols]
         for still in [at_rest, []] if at_rest else [[]]:
             begin = {**values, **dict.fromkeys(still, 0.0)}

@@ -1,6 +1,6 @@
 """Symbols for the formulas of effects, and smooth versions of functions with corners.
 
-Positions and `theta` are predicted from the start of a step to its middle.
+Positions and `theta` are predicted from the start of a step to its middle; velocities are those at the start.
 """
 
 from __future__ import annotations

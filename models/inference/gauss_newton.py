@@ -136,7 +136,7 @@ def _shifted(
     shift: FloatArray,
     sigma: FloatArray,
 ) -> FloatArray:
-    """Start offsets after a step of the maps, damped as that is, kept within four standard deviations."""
+    """Start offsets after a step of the maps, with its damping, kept within four standard deviations."""
     result = shift.copy()
     for b in range(shift.shape[1]):
         slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)
@@ -152,8 +152,8 @@ def _promised(
     from_mean: FloatArray,
     weights: FloatArray,
 ) -> FloatArray:
-    """(K,) by how much the quadratic model says that a step of the maps lowers the cost, with the start
-    offsets that are best for it."""
+    """(K,) drop in cost that the quadratic model predicts for a step of the maps with the best start
+    offsets."""
     curved = np.einsum("kij,kj->ki", equations.hessian[who], step) + step
     maps = -((equations.gradient[who] + from_mean + 0.5 * curved) * step).sum(axis=1)
     slopes, gains = equations.start_gradient[:, who], equations.start_gain[:, who]

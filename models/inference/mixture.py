@@ -102,7 +102,10 @@ def explain(
     *,
     plain_only: bool,
 ) -> list[Explanation]:
-    """Fit the plain law with every structure, the other laws with the likeliest structure.
+    """Fit the plain law with every structure, and the other laws with the usual one.
+
+    The usual structure is the first, or `smooth` if the smallest α suits the first best. With at least
+    `_ENOUGH_PUSHES`, the likeliest law is fitted with every structure too.
 
     Args:
         dataset: the pushes, the object and its height.

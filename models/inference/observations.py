@@ -26,8 +26,8 @@ LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
-"""Contact for recorded fingers: 0.1 mm of compliance, as in real fingers, keeps the remaining jitter from
-rattling the force, and impacts from throwing the object."""
+"""Contact for recorded fingers: 0.1 mm of penetration, like the give of real fingers, keeps the remaining
+jitter from rattling the force, and the damping keeps impacts from throwing the object."""
 
 
 @dataclass(frozen=True, eq=False)

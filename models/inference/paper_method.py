@@ -1,9 +1,9 @@
-"""Algorithm 1 of Song and Boularias (IROS 2020): K bounded gradient descents, weighed by their losses.
+"""Algorithm 1 of Song and Boularias (IROS 2020): K bounded gradient descents, weighted by their losses.
 
 Line numbers are those of the printed algorithm, x is its pose vector of 3n numbers (`paper_notation.py`).
 Lines 1 to 6 record pushes; here they are recorded already. Where the text leaves a choice:
 
-- The printed loop over pushes finds the K models anew after each push. Those of fewer pushes are
+- The printed loop over pushes finds the K models again after each push. Those of fewer pushes are
   superseded, so only the last round, over all pushes, is run; P is over its K models.
 - With t counted as printed, ẋ_t moves x_t to x_{t+1}; V takes (x_t, ẋ_t) to ẋ_{t+1}, which moves x_{t+1} to
   x_{t+2}. Observed velocities are finite differences of the poses. V is one step of `Slider` from x_{t+1}

@@ -277,7 +277,7 @@ class MapPrior(EffectCoordinates):
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
-        """Convert derivatives over a rollout's reduced columns (K, …, P) to ones over z and start pose.
+        """Convert derivatives (K, …, P) from a rollout's reduced columns to z and start pose.
 
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
@@ -295,7 +295,7 @@ class MapPrior(EffectCoordinates):
         return slice(first, first + 3)
 
     def columns(self, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
-        """(K, P, size) derivatives of the quantities behind a rollout's reduced columns over the coordinates.
+        """(K, P, size) derivatives of the quantities behind a rollout's reduced columns in the coordinates.
 
         On a table, P includes the cells' masses, which come last; rollouts that stay away from its rim lack
         these columns. Where a friction is at its bound, the derivative is that of the unbounded formula, so

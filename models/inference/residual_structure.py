@@ -97,7 +97,7 @@ def _table_place(at: Conditions) -> Columns:
 
 def _contact_place(at: Conditions) -> Columns:
     x, y = at.contact.T
-    return {"more where contact has larger object x": x, "more where contact has larger object y": y}
+    return {"more at larger object x of the contact": x, "more at larger object y of the contact": y}
 
 
 def _speed(at: Conditions) -> Columns:
@@ -106,9 +106,9 @@ def _speed(at: Conditions) -> Columns:
 
 def _harmonics(angle: FloatArray, share: FloatArray, frame: str) -> Columns:
     waves = {
-        f"moving towards {frame} +x against -x": np.cos(angle),
-        f"moving towards {frame} +y against -y": np.sin(angle),
-        f"moving along {frame} x against y": np.cos(2 * angle),
+        f"moving towards {frame} +x rather than -x": np.cos(angle),
+        f"moving towards {frame} +y rather than -y": np.sin(angle),
+        f"moving along {frame} x rather than y": np.cos(2 * angle),
         f"moving along the {frame}'s diagonals": np.sin(2 * angle),
     }
     return {name: share * wave for name, wave in waves.items()}
@@ -154,7 +154,7 @@ def _onward(residuals: Residuals) -> Columns:
         return {"along the motion": (unit[:, :2] * residuals.relative).sum(axis=1)}
     return {
         "along the motion": (unit[:, :2] * residuals.relative[:, :2]).sum(axis=1),
-        "in the sense of its turning": unit[:, 2] * residuals.relative[:, 2],
+        "in the direction of its rotation": unit[:, 2] * residuals.relative[:, 2],
     }
 
 

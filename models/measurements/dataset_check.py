@@ -267,7 +267,7 @@ def _speed(trial: Trial) -> float:
 
 
 def _impossible(dataset: PushDataset) -> list[Finding]:
-    """Records that cannot be those of pushes."""
+    """A finding if more than a quarter of the records cannot be those of pushes."""
     found = [fault for trial in dataset.trials for fault in [*impossible(dataset, trial)][:1]]
     if len(found) <= _WRONG_SHARE * len(dataset.trials):
         return []

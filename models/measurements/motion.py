@@ -18,10 +18,10 @@ _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
 _LONGEST_WINDOW = 0.25  # s
 _SLOWEST = np.array(
     [0.01, 0.01, 0.1]
-)  # m/s, which friction of 0.1 stops within 0.05 mm; rad/s, as fast 0.1 m off
+)  # m/s, which friction of 0.1 stops within 0.05 mm; rad/s, the same speed at a radius of 0.1 m
 _SIGNIFICANCE = 10.0  # least speed in standard errors
 _GAIN_OVER_REST = 10.0  # least gain in twice the log-likelihood
-_BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
+_BRIEF_REST = 0.015  # s; an onset this early is equivalent to motion from the start
 _TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
 _COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
 _FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %

@@ -249,7 +249,7 @@ def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """Read (H, W) or (H, W, channels) from a PNG, BMP, PGM or TIFF file, turned upright if it says how.
+    """Read (H, W) or (H, W, channels) from a PNG, BMP, PGM or TIFF file, in the orientation it states.
 
     The declared size is checked first: OpenCV trusts it and would spend seconds allocating gigabytes for a
     file of a few bytes.

@@ -89,8 +89,8 @@ def track(
     The outline is fitted to the picture's edges from the previous pose. Unless the outline and the heights
     inside clearly agree with the picture, it is also fitted from places around it, and the best fit is taken.
     If no pose agrees, the whole table is searched in all directions; then the object must be seen nearly
-    whole, or for the most part with nothing seen beside it. Of equally good poses, as of a symmetric object,
-    the one turned least from the previous pose is taken.
+    whole, or for the most part with nothing seen beside it. Of equally good poses, which a symmetric object
+    has, the one turned least from the previous pose is taken.
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.

@@ -338,7 +338,7 @@ class Slider:
 
 def _top_of(table: Table) -> FloatArray:
     """(1, 1, 7) centre, radius, half sides, cosine and sine of a table, see `Rim.top`."""
-    corners = corners_of(table)  # which checks the measures
+    corners = corners_of(table)  # checks the table's dimensions
     if len(corners) == 0:
         return np.array([[[*table.center, float(table.radius or 0.0), 0.0, 0.0, 1.0, 0.0]]])
     return np.array([[[*table.center, 0.0, *(corners[2] - np.asarray(table.center)), 1.0, 0.0]]])

@@ -123,12 +123,12 @@ class Linearised:
     """Residuals of one push under one model, and their derivatives, not whitened."""
 
     pose: FloatArray  # (S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m
-    pose_slopes: FloatArray  # (S, 3, d + 3) derivatives over coordinates and start
+    pose_slopes: FloatArray  # (S, 3, d + 3) derivatives with respect to coordinates and start
     force: FloatArray  # (T, 2) predicted minus measured force where it counts, N
     force_slopes: FloatArray  # (T, 2, d + 3)
 
     def by(self, columns: NDArray[np.int64]) -> Linearised:
-        """The same with derivatives over some coordinates (c,) and the start."""
+        """The same with derivatives with respect to some coordinates (c,) and the start only."""
         chosen = np.append(columns, np.arange(-3, 0))
         return Linearised(
             self.pose, self.pose_slopes[..., chosen], self.force, self.force_slopes[..., chosen]

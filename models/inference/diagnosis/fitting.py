@@ -87,8 +87,7 @@ class Fitter:
         """Fit the model without effects together with the error model; this also sets the object's weight.
 
         The forgiving likelihood of the identification comes first: it finds the right minimum, where the
-            strict
-        one, with its many correlated rows, gets stuck on the way.
+        strict one, with its many correlated rows, gets stuck on the way.
         """
         prior = self.prior(())
         first = fit(self._forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()

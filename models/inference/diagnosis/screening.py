@@ -154,7 +154,7 @@ def screen(
 
 
 class _Stacked(NamedTuple):
-    """Whitened derivatives of all pushes over everything that may be a coordinate of a model."""
+    """Whitened derivatives of all pushes with respect to every possible coordinate of a model."""
 
     jacobians: list[FloatArray]  # (R_b, W) of each push
     residuals: list[FloatArray]  # (R_b,) of each push

@@ -51,8 +51,8 @@ _FAR_ABOVE_NOISE = 3.0
 push is taken so that one that starts near balance does not decide. With nothing hidden it is 1.0 to 1.6."""
 
 _LEAST_HELP = 0.1
-"""Share by which an answer must lower the misfit of far-off locked pushes. The true effect divides it by
-several; one that overfits a few open pushes does not."""
+"""Share by which an answer must lower the misfit of far-off locked pushes. The true effect lowers it by a
+large factor; one that overfits a few open pushes does not."""
 
 _REST_GAIN = 8.0
 """Gain, in nats, below which anything found on top of an effect may come from the effect's exact form."""
@@ -127,7 +127,7 @@ class Rules:
         return None
 
     def missing(self, first: Screening) -> bool:
-        """Whether the model without effects misses anything."""
+        """Whether the model without effects lacks anything."""
         return self.found(first, 0.0, PROBE_GAIN) is not None
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
@@ -142,7 +142,7 @@ class Rules:
         )
 
     def stands(self, first: Screening, name: str, fitted_gain: float) -> bool:
-        """Whether a candidate gains more than chance and more than grid errors can mimic.
+        """Whether a candidate gains more than chance and more than errors of the grid and the contact.
 
         The gain counts to first order, or, if three times as large, when refitted.
         """

@@ -33,7 +33,7 @@ _SPANS = (0.1, 0.3, 0.8)  # s over which speeds are taken
 _EDGE = 0.15  # s at both ends of a motion in which the object may still rest
 _NEAR_EPOCH = 2.0  # s by which two clocks that both count from 1970 may differ
 
-_FREE = 5e-3  # m of air that rules out a force, whatever the frames
+_FREE = 5e-3  # m of air beyond which there is no contact force
 _SWINGS = 0.3  # s
 _STARTED = 5e-4  # m from where the finger waited at first,
 _APART = 1e-3  # m from the outline there
@@ -359,7 +359,7 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
 
 
 def _rise(force: Channel, touch: float) -> float | None:
-    """Time at which the force is half way between its values before and after a touch, s."""
+    """Time at which the force is halfway between its values before and after a touch, s."""
     time = force.time
     near = np.flatnonzero((time > touch - _RISE) & (time < touch + _RISE))
     early, late = near[time[near] < touch - 0.5 * _RISE], near[time[near] > touch + 0.5 * _RISE]

@@ -78,7 +78,7 @@ def wear(at):
     ("effect", "factor", "strongest", "size"),
     [
         (drift, "table_drift", "towards table y", -0.06),
-        (veer, "table_direction", "to the left of the motion, moving along table x against y", None),
+        (veer, "table_direction", "to the left of the motion, moving along table x rather than y", None),
         (faster, "speed", None, None),
         (wear, "order", "along the motion, more in later pushes", None),
     ],
