@@ -284,7 +284,7 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     deep = depth > limit
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
-        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while pushing"
+        text += f", {round(1e3 * float(np.median(air)), 1) + 0.0:+.1f} mm of air while pushing"
     if deep.mean() > _WRONG_SHARE:
         said = next((text for text in dataset.warnings if "the finger goes" in text or "starts" in text), "")
         advice = said or (
