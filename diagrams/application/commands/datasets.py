@@ -77,7 +77,7 @@ def _show(found: DatasetCheck, folder: Path, where: str) -> None:
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
         paragraph(f"These pushes could reveal these {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not reveal, for the reason in brackets: {', '.join(other)}.")
+            paragraph(f"They could not reveal these (reasons in brackets): {', '.join(other)}.")
     _show_advice(found, folder, where)
 
 
