@@ -92,7 +92,8 @@ class LoopOptions:
         seed: of every draw.
         effects: of the library, given to the model.
         adapt: whether the model is repaired during the run: when pushes surprise it, they are diagnosed, and
-            it is given the effects that are named. Then every push is learned from, and there are no `checks`.
+            the effects that are named are added to it. Then every push is learned from, and there are no
+            `checks`.
 
     Example:
         >>> import slipmap
