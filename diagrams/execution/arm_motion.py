@@ -170,8 +170,8 @@ class FingerKinematics:
         if abs(q[k]) <= largest[k]:
             return f"{place} from the posture before it"
         return (
-            f"{place}: {ARM_JOINTS[k]} would have to turn to {np.rad2deg(q[k]):.0f} degrees, "
-            f"of which {np.rad2deg(largest[k]):.0f} are allowed"
+            f"{place}: {ARM_JOINTS[k]} would have to turn to {np.rad2deg(q[k]):.0f} degrees; "
+            f"{np.rad2deg(largest[k]):.0f} are allowed"
         )
 
     def _search(
@@ -438,8 +438,8 @@ def check_joints(motion: Trajectory) -> None:
         k = int(np.argmax(largest / limits))
         if largest[k] > limits[k]:
             raise MotionRefused(
-                f"{ARM_JOINTS[k]} would have to {what} {np.rad2deg(largest[k]):.0f} {unit}, "
-                f"of which {np.rad2deg(limits[k]):.0f} are allowed"
+                f"{ARM_JOINTS[k]} would have to {what} {np.rad2deg(largest[k]):.0f} {unit}; "
+                f"{np.rad2deg(limits[k]):.0f} are allowed"
             )
 
 

@@ -75,9 +75,8 @@ class ArmPlanner:
         From `default_arm_base`, 60 of 60 random pushes between points within 0.36 m of W's origin can be made
         at 0.1 m/s, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning takes 50 ms,
         with surroundings 70 ms, and up to 0.6 s if the hand must be rotated about the finger because the arm
-        would come
-        too close to its surroundings: the forearm, whose lower side is 6 to 9 cm above the table, then leans
-        to another side.
+        would come too close to its surroundings: the forearm, whose lower side is 6 to 9 cm above the table,
+        then leans to another side.
 
         Args:
             q: (7,) joint angles at which the arm rests now, rad, with the finger above everything on the

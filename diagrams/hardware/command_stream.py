@@ -55,8 +55,8 @@ class CommandBuffer:
 
     If no new ones come, the pace falls smoothly to zero: the arm slows down on its path and waits there. If
     too many are queued, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
-    pace falls
-    to zero for good: the arm brakes along the angles that it already has, which last for the delay.
+    pace falls to zero for good: the arm brakes along the angles that it already has, which last for the
+    delay.
 
     Args:
         delay: s between making and playing.

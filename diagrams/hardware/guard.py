@@ -242,13 +242,12 @@ class CommandGuard(PythonSystem):
     Output ports: `iiwa.position` (7,) rad, new every `PERIOD`; `health`: `Health`.
 
     Until the first status it waits, and commands the arm to stay at its reported position. The following stop
-    the
-    arm: a late or impossible status; an arm that does not follow its commands; a late picture, once there was
-    one; contact torque; a commanded position that is not a number, jumps, demands too much speed of a joint
-    or the finger, or comes near a joint's limit; `abort`. The command is then brought to rest at constant
-    deceleration, as fast as the joints' data sheet allows and within `GuardSettings.stopping`, whatever is
-    commanded, and stays there. If something presses against the arm, it stops at the measured position
-    instead, which relieves the contact.
+    the arm: a late or impossible status; an arm that does not follow its commands; a late picture, once there
+    was one; contact torque; a commanded position that is not a number, jumps, demands too much speed of a
+    joint or the finger, or comes near a joint's limit; `abort`. The command is then brought to rest at
+    constant deceleration, as fast as the joints' data sheet allows and within `GuardSettings.stopping`,
+    whatever is commanded, and stays there. If something presses against the arm, it stops at the measured
+    position instead, which relieves the contact.
 
     It stays stopped until the process is restarted, even if the cause disappears or `abort` returns to 0: an
     arm must not start to move because a cable was plugged in or a button released, and plans made before the

@@ -91,8 +91,9 @@ class LoopOptions:
         hypotheses: K.
         seed: of every draw.
         effects: of the library, given to the model.
-        adapt: whether the model is repaired on the way: when pushes surprise it, they are diagnosed, and it
-            is given the effects that are named. Then every push is learned from, and there are no `checks`.
+        adapt: whether the model is repaired during the run: when pushes surprise it, they are diagnosed, and
+            the effects that are named are added to it. Then every push is learned from, and there are no
+            `checks`.
 
     Example:
         >>> import slipmap

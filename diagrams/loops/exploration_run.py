@@ -88,7 +88,7 @@ class ExplorationRun:
     X_SO: FloatArray | None
     simulated: float  # s of simulated time, or of the real cell's time
     seconds: float  # s of computing time
-    repair: Repair | None = None  # how the model was repaired on the way, if the run adapts
+    repair: Repair | None = None  # how the model was repaired during the run, if the run adapts
 
     @property
     def angle_seen(self) -> bool:

@@ -1,9 +1,8 @@
 """The depth camera above the table: its parameters, and adding it to a Diagram.
 
 A renderer in the plant's own scene graph would get the pose of every shape at every step, because contacts
-are
-computed there: for the station's eighty shapes that takes as long as the dynamics of the arm. So the camera
-has its own scene graph, which is updated only when a picture is taken.
+are computed there: for the station's eighty shapes that takes as long as the dynamics of the arm. So the
+camera has its own scene graph, which is updated only when a picture is taken.
 """
 
 # Annotations stay objects, because Drake's YAML reader inspects them.

@@ -161,10 +161,9 @@ class CellPerception(PythonSystem):
 
     Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position` (optional), (7,) joint
     angles used to mask the arm in the picture; `image_age` (optional), (1,) time since the picture was taken,
-    s,
-    else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid`, or None until the first look
-    is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture` that it
-    is derived from, or None.
+    s, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid`, or None until the first
+    look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture`
+    that it is derived from, or None.
 
     The inputs are read at the camera's rate. The result appears half a period later, with the time at which
     it was seen. The first look takes `FRAMES` pictures during which the object does not move; it continues

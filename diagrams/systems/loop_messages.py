@@ -37,8 +37,8 @@ EXPLORING = (
     "finished",
     "failed",
 )
-"""Modes of exploration. If the model is repaired on the way, `diagnosing` is one of them, and `telling apart`
-replaces `choosing` when the next push should discriminate between the models that a diagnosis left."""
+"""Modes of exploration. If the model is repaired during the run, `diagnosing` is one of them, and `telling
+apart` replaces `choosing` when the next push should discriminate between the models that a diagnosis left."""
 
 CHOOSING = ("choosing", "telling apart")
 """Modes in which a push is chosen."""

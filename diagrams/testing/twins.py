@@ -34,8 +34,7 @@ class LockstepCell(PythonDiagram):
 
     It replaces `HardwareInterface` and has its ports and methods. Messages go through memory. The simulation
     need not keep up with real time, so its result does not depend on how busy the computer is. It lacks only
-    what
-    real time brings: late messages on a busy computer, and processes that end.
+    what real time brings: late messages on a busy computer, and processes that end.
 
     Args:
         positions: initial ones of the plant; those of the scenario if None.

@@ -59,7 +59,7 @@ def _world(object_name: str) -> PlantWorld:
 
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
-    """The beliefs of `MODELS`, learnt from the same pushes."""
+    """The beliefs of `MODELS`, learned from the same pushes."""
     world = _world(object_name)
     plain, trials = explored(world, seed)
     tilted = identify(as_dataset(world, trials), ["table_tilt"], seed=seed)

@@ -45,7 +45,7 @@ def predict(
 
     Simulates every push of DATASET from its first pose with every hypothesis of the belief. The picture
     overlays measured and predicted trajectories; the table lists the errors at the ends. DATASET must have
-    the object and the finger of the belief, but may differ from the dataset that it was learnt from.
+    the object and the finger of the belief, but may differ from the dataset that it was learned from.
     """
     from slipmap.models.inference.belief import Belief
 
@@ -64,7 +64,7 @@ def predict(
             write_json(json_file, _prediction_document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors
 
-    click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n"))
+    click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learned from {belief.dataset}\n"))
     show_errors(pushes, measured, str(dataset))
     for path in drawn:
         note(f"picture: {path}")
@@ -72,7 +72,7 @@ def predict(
 
 @click.command()
 @options.dataset_argument
-@options.belief_option(required=False, more="; without it, a model is learnt from the fit pushes first")
+@options.belief_option(required=False, more="; without it, a model is learned from the fit pushes first")
 @options.effect_option(required=False, purpose="Effect to add, for a comparison with the model without it")
 @options.effect_file_option
 @options.report_option("comparison.html")
@@ -95,7 +95,7 @@ def compare(
 
     Predicts every push of DATASET from its first pose. The report compares the model's error with two simple
     baselines and with the noise, shows every push as measured and as predicted, and tests what the remaining
-    error depends on: place, direction, speed, phase, time and order. With --effect, two models are learnt
+    error depends on: place, direction, speed, phase, time and order. With --effect, two models are learned
     from the fit pushes, without and with the effects, and shown side by side.
     """
     from slipmap.models.effects.registry import effects_named

@@ -76,9 +76,9 @@ def _show(found: DatasetCheck, folder: Path, where: str) -> None:
     for group, words in ((found.quantities, "quantities"), (found.effects, "effects")):
         could = [told.name for told in group if told.could]
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
-        paragraph(f"These pushes could reveal these {words}: {', '.join(could) or 'none'}.")
+        paragraph(f"These pushes could reveal the following {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not reveal, for the reason in brackets: {', '.join(other)}.")
+            paragraph(f"They could not reveal (reasons in brackets): {', '.join(other)}.")
     _show_advice(found, folder, where)
 
 

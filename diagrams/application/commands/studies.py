@@ -76,7 +76,7 @@ def explore_study(
                 rows[name].append(_row(folder, name, number, pushes, checks))
             except (ExplorationStopped, KeyboardInterrupt) as error:
                 raise Stopped(
-                    f"stopped at {name}, seed {number}, of which nothing is kept. The earlier runs are in"
+                    f"stopped at {name}, seed {number}; nothing of this run is kept. The earlier runs are in"
                     f" {folder}; run the same command again to continue the study."
                 ) from error
     _show_errors(rows)

@@ -37,7 +37,7 @@ def summary(comparison: Comparison) -> str:
     """The model's error beside the baselines and the noise, in one or two sentences."""
     role, totals = judged(comparison)
     count = f"{totals.pushes} pushes" if totals.pushes > 1 else "the one push"
-    which = f"On {count} that it {'never saw' if role == 'heldout' else 'learnt from'}"
+    which = f"On {count} that it {'never saw' if role == 'heldout' else 'learned from'}"
     if role == "fit" and comparison.learnt_from != comparison.dataset:
         which = f"On {count} of this dataset"
     average = " on average" if totals.pushes > 1 else ""
@@ -176,7 +176,7 @@ def findings(results: Sequence[Comparison]) -> list[str]:
     if len(results) == 1:
         return [summary(results[0]), finding(results[0])]
     learnt = (
-        "Both models were learnt as in `slipmap fit`, which treats the errors within a push as correlated."
+        "Both models were learned as in `slipmap fit`, which treats the errors within a push as correlated."
         " `slipmap identify`, and `slipmap compare` without --effect, treat every measured pose as"
         " independent, so their model differs a little from the one without effects here."
     )

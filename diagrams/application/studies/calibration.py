@@ -3,7 +3,7 @@
 Objects, maps and pushes are random, so the ranks of the truth among hypotheses are uniform for a calibrated
 belief (Talts et al., 2018). The kinds of maps take turns: two materials with a sharp border, as in most
 objects of the paper; even; smooth; three to five feet; an almost massless middle. Cell masses differ by up
-to a factor of 1000, frictions by up to 4. A belief is learnt from three to ten pushes as by `slipmap
+to a factor of 1000, frictions by up to 4. A belief is learned from three to ten pushes as by `slipmap
 identify`; every fourth object, on average, has no force sensor; the declared noise is right, half or double.
 """
 

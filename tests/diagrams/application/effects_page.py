@@ -27,7 +27,7 @@ it does to a push.
 This page is generated from the code by `python tests/diagrams/application/effects_page.py`. The
 formulas are those that run, without constants that only smooth corners. [v]₊ is the larger of v
 and 0, and σ(v) rises smoothly from 0 to 1 around v = 0. A ⁺ marks values after the step. An effect
-vanishes at the value under *nothing at*; parameters with a dash there only shape it.
+vanishes at the values under *vanishes at*; parameters with a dash there only shape it.
 """
 
 _OWN = """\
@@ -99,7 +99,7 @@ def section(effect: Effect) -> str:
         groups = grouped((f"${latex}$", meaning) for _, latex, meaning in text.letters)
         told = "; ".join(f"{letters}: {meaning}" for letters, meaning in groups)
         lines += [*textwrap.wrap(f"Here {told}.", 150, break_long_words=False, break_on_hyphens=False), ""]
-    lines += ["| parameter | unit | range | nothing at | meaning |", "| --- | --- | --- | --- | --- |"]
+    lines += ["| parameter | unit | range | vanishes at | meaning |", "| --- | --- | --- | --- | --- |"]
     for q in effect.parameters:
         name = text.symbols[q.name]
         shown = f"`{q.name}`" if name == q.name else f"`{q.name}`, ${latex_name(name)}$ in the formula"
