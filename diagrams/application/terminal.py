@@ -51,7 +51,7 @@ def wrapped(text: str, indent: str) -> str:
 def paragraph(text: str) -> None:
     """Print a text on stdout, wrapped to 80 columns; nothing if it is empty."""
     if text:
-        click.echo(textwrap.fill(printable(text), WIDTH))
+        click.echo(wrapped(text, ""))
 
 
 def status(text: str) -> None:

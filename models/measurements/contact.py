@@ -126,9 +126,10 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
 def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:
     """(k,) how far the object may be from the straight line between two poses, m.
 
-    An object that starts or stops between two poses moves along two lines, those of the intervals before and
-    after; before the first pose and after the last it rests. At a share s of the interval Δt these lines are
-    s Δt |v - v_before| and (1 - s) Δt |v_after - v| away.
+    An object that changes speed between two poses moves along two lines, those of the intervals before and
+    after. At a share s of the interval Δt these are s Δt |v - v_before| and (1 - s) Δt |v_after - v| away. If
+    it starts or stops anywhere in the interval, it is up to s Δt |v| or (1 - s) Δt |v| away. It rests before
+    the first pose and after the last.
 
     Args:
         after: (k,) the row of the pose that follows each time.
@@ -139,7 +140,12 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
     before, behind = change[after - 1], change[after]
     step = pose.time[after] - pose.time[after - 1]
     passed = time - pose.time[after - 1]
-    return np.asarray(np.minimum(passed * before, (step - passed) * behind))
+    speed = np.pad(np.linalg.norm(velocity, axis=1), 1)
+    own, previous, following = speed[after], speed[after - 1], speed[after + 1]
+    starts = np.where(previous < 0.5 * own, passed * own, 0.0)
+    stops = np.where(following < 0.5 * own, (step - passed) * own, 0.0)
+    bent = np.minimum(passed * before, (step - passed) * behind)
+    return np.asarray(np.maximum(bent, np.maximum(starts, stops)))
 
 
 def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:

@@ -40,6 +40,7 @@ _NOTABLE_LAG = 1e-3  # m between object and finger because of a lag
 _FORCE_LATE = 0.01  # s
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
+_LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
 _OFF_NORMAL = np.radians(25.0)  # median; beyond the friction of most fingers
 _ARCS = 8  # equal parts of the outline's length
 _OCTANTS = 8
@@ -313,6 +314,13 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         np.median([np.percentile(np.hypot(*trial.channels["ft_wrench"].values[:, :2].T), 80)
                    for trial in forced])
     )  # fmt: skip
+    if dataset.mass is not None:
+        share = pushing / (dataset.mass * dataset.gravity)
+        if not _LEAST_FRICTION < share < _MOST_FRICTION:
+            text = f"{pushing:.3g} N while pushing, {share:.2g} times the weight of {dataset.mass:.3g} kg"
+            findings.append(
+                Finding("force and mass", text, "wrong", "is the force in N, and object.mass in kg?")
+            )
     if rest:
         bias = np.median([free[0] for free, _ in rest], axis=0)
         error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))

@@ -41,7 +41,12 @@ def with_known_maps(dataset: PushDataset, path: str | os.PathLike[str]) -> PushD
     """
     where = str(path)
     _, document = parsing.read_yaml(Path(path), where)
-    if isinstance(document, dict) and set(document) == {"known"}:
+    if isinstance(document, dict) and "known" in document:
+        if len(document) > 1:
+            others = ", ".join(map(parsing.shown, sorted(map(str, set(document) - {"known"}))))
+            raise DatasetError(
+                f"{where}: give keys either under `known` or at the top level, not both ({others})"
+            )
         document, where = document["known"], f"{where}: known"
     known, warnings = parse_known(document, dataset.grid, dataset.mass, where)
     return replace(dataset, known=known, warnings=(*dataset.warnings, *warnings))

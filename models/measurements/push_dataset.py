@@ -341,7 +341,7 @@ class PushDataset(Setup):
 
     def __repr__(self) -> str:
         return (
-            f"PushDataset({self.name!r}: {len(self.grid)} cells, {len(self.fit_trials)} pushes to fit,"
+            f"PushDataset({self.name!r}: {len(self.grid)} cells; pushes: {len(self.fit_trials)} to fit,"
             f" {len(self.heldout_trials)} held out)"
         )
 

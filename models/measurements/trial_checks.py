@@ -40,6 +40,7 @@ _LARGEST_SPEED = 10.0  # m/s
 _SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row-by-row speeds
 _SLOWEST_RATE = 2.0  # s between rows
 _NOTABLE_MOTION = 5e-3  # m
+_REST_ROWS = 3  # first rows of a track that show whether the object rests
 _TOUCH_RADII = 3.0  # finger radii of air beyond which the finger did not touch
 _EARLY_END = 0.1  # s
 _SLOW_TIP = 5e-3  # m/s
@@ -368,30 +369,48 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
     """Reasons why a record cannot be that of a push, so that a unit or a frame must be wrong."""
     if _fastest(trial.object_pose) > _LARGEST_SPEED:
         yield f"the object moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
-    moved = _moved(setup, trial)
-    stays = len(trial.tip_pose.time) == 1 or not trial.has_finger
-    if moved and stays and not trial.initial_velocity().any():
-        yield "a resting object begins to move, but " + (
-            "tip_pose has only one row, and a finger that does not move pushes nothing"
-            if trial.has_finger
-            else "no finger is within 1 m; is the tip given in m?"
-        )
+    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
+        yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
+    untouched = _untouched(setup, trial)
+    if untouched is not None and _begins_at_rest(setup, trial):
+        yield untouched
+    if trial.has_finger:
+        if _fastest(trial.tip_pose) > _LARGEST_SPEED:
+            yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
+        if _stands_still(setup, trial):
+            yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
+
+
+def _untouched(setup: Setup, trial: Trial) -> str | None:
+    """What is odd about an object that moves without a touch and does not slide already; None if nothing."""
+    if not _moved(setup, trial) or trial.initial_velocity().any():
+        return None
     if not trial.has_finger:
-        return
-    if _fastest(trial.tip_pose) > _LARGEST_SPEED:
-        yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
-    if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
-        yield "the object moves, but the tip never touches its outline; is one of them in the wrong frame?"
+        return "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
+    if len(trial.tip_pose.time) == 1:
+        return (
+            "a resting object begins to move, but tip_pose has only one row, and a finger that does not move"
+            " pushes nothing"
+        )
+    if _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
+        return "the object moves, but the tip never touches its outline; is one of them in the wrong frame?"
+    return None
+
+
+def _begins_at_rest(setup: Setup, trial: Trial) -> bool:
+    """Whether the first rows show that the object rests; two rows, or a short track, cannot."""
+    if len(trial.object_pose.time) < 2 * _REST_ROWS:
+        return False
+    return float(np.max(_shifts(setup, trial)[:_REST_ROWS])) < _least_motion(setup, 1e-3)
 
 
 def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     yield from impossible(setup, trial)
-    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
-        yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
+    untouched = _untouched(setup, trial)
+    if untouched is not None and trial.ends_only:  # it may have slid already; two poses do not tell
+        yield untouched
     if not trial.has_finger:
         return
-    if _stands_still(setup, trial):
-        yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
     if _moved(setup, trial) and _pulls(setup, trial):
         yield _PULLS
     _refuse_foreign_clocks(trial, where)
@@ -451,11 +470,21 @@ def _refuse_foreign_clocks(trial: Trial, where: str) -> None:
 
 def _moved(setup: Setup, trial: Trial) -> bool:
     """Whether a point of the outline moves by more than 5 mm and five standard deviations."""
+    return bool(np.max(_shifts(setup, trial)) > _least_motion(setup, _NOTABLE_MOTION))
+
+
+def _shifts(setup: Setup, trial: Trial) -> FloatArray:
+    """(T,) largest displacement of a point of the outline since the first pose, m."""
     pose = trial.object_pose.values
     reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
     shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + reach * np.abs(pose[:, 2] - pose[0, 2])
-    noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))
-    return bool(np.max(shift) > max(_NOTABLE_MOTION, 5.0 * noise))
+    return np.asarray(shift)
+
+
+def _least_motion(setup: Setup, least: float) -> float:
+    """Displacement, m, that is no noise: the least, or five standard deviations."""
+    reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
+    return max(least, 5.0 * float(np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))))
 
 
 def _clearance(setup: Setup, trial: Trial) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,7 +55,7 @@ def check(
         if output is not None:
             write_text(output, _page(found, measured))
     write_json(json_file, found.to_json())
-    _show(found, dataset, f"{dataset}" + (f" --object {object_name}" if object_name else ""))
+    _show(found, dataset, shlex.join([str(dataset), *(("--object", object_name) if object_name else ())]))
     if output is not None:
         note(f"page: {output}")
     if found.wrong:
@@ -86,7 +87,8 @@ def _show_advice(found: DatasetCheck, folder: Path, where: str) -> None:
     for wanted in found.advice:
         paragraph(f"Worth adding: {wanted}.")
     if found.advice:
-        again = f" and import everything again: slipmap import SOURCE... --setup setup.yaml -o {folder}"
+        again = " and import everything again: slipmap import SOURCE... --setup setup.yaml -o"
+        again += f" {shlex.quote(str(folder))}"
         paragraph(
             f"Record them{again if found.provenance else ' into the same place'}. After a first belief,"
             f" `slipmap diagnose {where}` plans the most informative push."

@@ -140,7 +140,7 @@ def test_a_belief_and_its_dataset_are_shown_in_a_line() -> None:
     """As the last line of a notebook's cell, too."""
     dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
     result = slipmap.identify(dataset, hypotheses=2, friction_laws=False)
-    assert repr(dataset) == "PushDataset('hammer': 60 cells, 2 pushes to fit, 1 held out)"
+    assert repr(dataset) == "PushDataset('hammer': 60 cells; pushes: 2 to fit, 1 held out)"
     assert repr(result.belief) == "Belief(dataset 'hammer': 2 hypotheses about 60 cells)"
     assert repr(result).startswith(f"Identification({result.belief!r}; mean ADD at the end ")
     assert repr(result).endswith("over 1 heldout pushes)")

@@ -90,6 +90,42 @@ def test_pushes_that_cannot_be_are_wrong(change, advice):
     assert "8 of 8 pushes" in found.found
 
 
+def slid(times, tip):
+    """A free slide at 1 m/s that has begun before the first row."""
+    way = times - 1.2 * times**2
+    pose = Channel(times, np.column_stack([way, 0 * way, 0 * way]))
+    return lambda trial: replace(trial, object_pose=pose, tip_pose=tip, ft_wrench=None)
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 30.0, 100.0])
+@pytest.mark.parametrize("place", [(100.0, 100.0), (-0.3, -0.3)])
+def test_free_slides_are_not_wrong(rate, place):
+    dataset = straight_pushes(8)
+    slide = slid(np.arange(0.0, 0.4, 1.0 / rate), Channel(np.zeros(1), np.array([place])))
+    check = check_dataset(replace(dataset, trials=tuple(map(slide, dataset.trials))))
+    assert not check.wrong, [one for one in check.findings if one.verdict == "wrong"]
+
+
+@pytest.mark.parametrize(("mass", "wrong"), [(None, False), (1.0, False), (1000.0, True), (1e-3, True)])
+def test_force_and_mass_in_different_units_are_wrong(mass, wrong):
+    check = check_dataset(replace(straight_pushes(8), mass=mass))
+    assert check.wrong == wrong
+    assert [one.verdict for one in check.findings if one.what == "force and mass"] == ["wrong"] * wrong
+
+
+def test_milliseconds_and_a_frozen_tracker_are_wrong():
+    def slow(trial):
+        channels = {name: Channel(1e3 * c.time, c.values) for name, c in trial.channels.items()}
+        return replace(trial, **channels)
+
+    def frozen(trial):
+        start = np.tile(trial.object_pose.values[0], (len(trial.object_pose.time), 1))
+        return replace(trial, object_pose=Channel(trial.object_pose.time, start))
+
+    assert "times in s" in finding(changed(slow), "units and frames").advice
+    assert "frozen" in finding(changed(frozen), "units and frames").advice
+
+
 def test_unseen_motion_is_told():
     def gap(trial):
         kept = np.r_[0:80, 115 : len(trial.object_pose.time)]

@@ -140,3 +140,6 @@ def test_a_file_of_maps_may_begin_as_a_dataset_does(tmp_path):
     under.write_text("known: {friction: -1}\n")
     with pytest.raises(DatasetError, match=r"under\.yaml: known: friction"):
         with_known_maps(dataset, under)
+    under.write_text("known: {friction: 0.3}\nfriction: 0.5\n")
+    with pytest.raises(DatasetError, match="not both"):
+        with_known_maps(dataset, under)
