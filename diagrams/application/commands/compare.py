@@ -257,6 +257,20 @@ def _refuse_for_several() -> None:
             )
 
 
+def _refuse_copies(datasets: Sequence[PushDataset]) -> None:
+    """Refuse datasets that share a push, which would count twice."""
+    owners: dict[bytes, str] = {}
+    for dataset in datasets:
+        for trial in dataset.trials:
+            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
+            owner = owners.setdefault(track, dataset.name)
+            if owner != dataset.name:
+                raise BadInput(
+                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
+                    " count twice; give every push once"
+                )
+
+
 def _diagnose_together(
     datasets: Sequence[Path],
     effects: Sequence[Effect],
@@ -267,6 +281,7 @@ def _diagnose_together(
 ) -> None:
     with Progress() as progress:
         measured = [options.load_dataset(dataset, object_name, progress) for dataset in datasets]
+        _refuse_copies(measured)
         prepare_kernels()
         from slipmap.models.inference.diagnosis.several import diagnose_together
 

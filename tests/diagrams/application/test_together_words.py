@@ -1,15 +1,18 @@
 """What a diagnosis of several datasets says, to people and to programs."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 from schemas import assert_as_described
 
+import slipmap as slipmap_package
 from slipmap.diagrams.application.reports.diagnosis_words import show_together, where_it_falls
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
 from slipmap.models.inference.diagnosis.several import DatasetResult, JointCandidate, JointDiagnosis
+from slipmap.models.measurements import write_dataset
 from slipmap.models.objects import cells_from_polygon
 
 SQUARE = cells_from_polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]], count=9)
@@ -67,3 +70,11 @@ def test_options_of_one_dataset_are_refused_for_several_and_the_other_way_round(
     assert said.code == 2 and "--quick is for one dataset" in said.err
     said = slipmap("diagnose", tmp_path / "a", "--apart", "table")
     assert said.code == 2 and "give two or more" in said.err
+
+
+def test_a_copy_of_a_dataset_under_another_name_is_refused(slipmap, tmp_path):
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=2, heldout=1)
+    for name in ("first", "second"):
+        write_dataset(dataclasses.replace(dataset, name=name), tmp_path / name)
+    said = slipmap("diagnose", tmp_path / "first", tmp_path / "second")
+    assert said.code == 2 and "first and second contain the same push" in " ".join(said.err.split())
