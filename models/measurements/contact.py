@@ -10,6 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
+from slipmap.models.measurements.motion import row_noise
 from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -22,6 +23,7 @@ _WINDOW = 0.1  # s over which speeds are taken
 _MOVING = 0.3  # share of the 90th percentile of the object's speed
 _SLOWEST = 2e-3  # m/s
 _GAP_ROWS = 3.0  # usual steps without a pose, beyond which rows in the gap are skipped
+_LARGEST_NOISE = 3e-3  # m; larger scatter is not sensor noise
 _LARGEST_KINK = 1e-3  # m that the object may be off a straight line between two poses, besides noise
 
 # Common cause of all pushes.
@@ -62,6 +64,7 @@ class ContactRows:
         poses: (k, 3) object.
         pressed: (k,) whether the object moves, so that the finger must touch it unless it coasts.
         gap: (k,) gap between them, m, negative inside.
+        allowed: depth that calibration and the noise of poses and finger allow, m.
     """
 
     trial: Trial
@@ -70,6 +73,7 @@ class ContactRows:
     poses: FloatArray
     pressed: NDArray[np.bool_]
     gap: FloatArray
+    allowed: float
 
     @property
     def deepest(self) -> float:
@@ -89,8 +93,9 @@ class ContactRows:
     def chosen(self, rows: NDArray[np.int_]) -> "ContactRows":
         """Some of the rows."""
         return ContactRows(
-            self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows], self.gap[rows]
-        )
+            self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows],
+            self.gap[rows], self.allowed,
+        )  # fmt: skip
 
 
 def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
@@ -102,6 +107,7 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         return None
     pose, tip = trial.object_pose, trial.tip_pose
     begin, end = pose.time[[0, -1]]
+    noise = _position_noise(setup, trial)
     if trial.ends_only:
         time = np.array([begin, end])
     else:
@@ -113,14 +119,24 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
         step = pose.time[after] - pose.time[after - 1]
         known = (step <= _GAP_ROWS * np.median(np.diff(pose.time))) | np.isin(time, pose.time)
-        noise = setup.noise.position or 0.0
         time = time[known & (_kinks(setup, pose, time, after) <= _LARGEST_KINK + 3.0 * noise)]
     tips, poses = tip.at(time), pose.at(time)
     if trial.ends_only:  # the finger mostly stops where it pushed the object to
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
         pressed = _moving(setup, trial, time)
-    return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses))
+    allowed = CALIBRATION_ERROR + 3.0 * float(np.hypot(noise, setup.noise.tip or 0.0))
+    return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses), allowed)
+
+
+def _position_noise(setup: Setup, trial: Trial) -> float:
+    """Standard deviation of a pose's x or y, m: declared, or from the scatter of neighbouring rows."""
+    if setup.noise.position is not None:
+        return setup.noise.position
+    if trial.ends_only:
+        return 0.0
+    scatter = row_noise(trial.object_pose.time, trial.object_pose.values)
+    return min(float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0), _LARGEST_NOISE)
 
 
 def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:

@@ -279,10 +279,9 @@ def _impossible(dataset: PushDataset) -> list[Finding]:
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     if not rows:
         return [Finding("contact", "there is no finger", "note")]
-    limit = CALIBRATION_ERROR + 3.0 * float(np.hypot(dataset.noise.position or 0.0, dataset.noise.tip or 0.0))
     depth = np.array([one.depth for one in rows])
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
-    deep = depth > limit
+    deep = depth > [one.allowed for one in rows]
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
         text += f", {round(1e3 * float(np.median(air)), 1) + 0.0:+.1f} mm of air while pushing"

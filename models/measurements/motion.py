@@ -109,7 +109,7 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     Returns:
         (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows, which are too few.
     """
-    noise = _row_noise(time, pose)
+    noise = row_noise(time, pose)
     within = int(np.searchsorted(time, time[0] + _LONGEST_WINDOW, side="right"))
     sizes = [size for size in _WINDOW_ROWS if size <= within]
     for position, size in enumerate(sizes):
@@ -169,7 +169,7 @@ def _quadratic(time: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(time), time, time**2], axis=1)
 
 
-def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
+def row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
     """(3,) robust standard deviation of a row from the line through its neighbours."""
     if len(time) < 3:
         return np.full(3, _RESOLUTION)

@@ -185,24 +185,19 @@ def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
     corrected. No effect explains this.
     """
     seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
-    deep = [rows for rows in seen if _too_deep(setup, rows)]
+    deep = [rows for rows in seen if _too_deep(rows)]
     cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
     if cause is None or cause.kind not in _FRAME_WRONG:
         return None
     fixed = [replace(rows, gap=cause.applied(setup, rows)) for rows in seen]
-    if sum(rows.depth > _deepest(setup) for rows in fixed) > len(deep) / 2:
+    if sum(rows.depth > rows.allowed for rows in fixed) > len(deep) / 2:
         return None
     return _explained(deep, fixed, cause)
 
 
-def _too_deep(setup: Setup, rows: ContactRows) -> bool:
-    """Whether the finger goes deeper than calibration errors allow."""
-    return max(rows.depth, -float(rows.gap[0])) > _deepest(setup)
-
-
-def _deepest(setup: Setup) -> float:
-    """Depth that calibration errors allow, m."""
-    return CALIBRATION_ERROR + 3.0 * float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0))
+def _too_deep(rows: ContactRows) -> bool:
+    """Whether the finger goes deeper than calibration and noise allow."""
+    return max(rows.depth, -float(rows.gap[0])) > rows.allowed
 
 
 def _explained(deep: Sequence[ContactRows], fixed: Sequence[ContactRows], cause: Cause) -> str:
@@ -226,7 +221,7 @@ def _judged(
     few = max(1, len(trials) // _LONERS) if len(trials) >= _FEWEST_TRIALS else 0
     fit = {trial.name for trial in trials if trial.role == "fit"}
     faults = {name: carried_text(carry) for name, carry in carried.items()}
-    deep = [rows for rows in pushes if _too_deep(setup, rows)]
+    deep = [rows for rows in pushes if _too_deep(rows)]
     warnings = []
     frame_wrong = False
     if faults and (len(faults) > few or (fit and fit <= set(faults))):
@@ -247,7 +242,7 @@ def _judged(
         fixed = (
             pushes if cause is None else [replace(rows, gap=cause.applied(setup, rows)) for rows in pushes]
         )
-        left = [rows for rows in fixed if rows.depth > _deepest(setup)]
+        left = [rows for rows in fixed if rows.depth > rows.allowed]
         if cause is not None and len(left) <= len(deep) / 2:
             frame_wrong = cause.kind in _FRAME_WRONG
             whose = parsing.listed([rows.trial.name for rows in deep])

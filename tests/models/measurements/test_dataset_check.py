@@ -126,6 +126,18 @@ def test_milliseconds_and_a_frozen_tracker_are_wrong():
     assert "frozen" in finding(changed(frozen), "units and frames").advice
 
 
+@pytest.mark.parametrize("every", [1, 10])
+def test_noise_that_is_not_declared_is_no_depth(every):
+    rng = np.random.default_rng(0)
+
+    def noisy(trial):
+        pose = trial.object_pose
+        values = pose.values + rng.normal(0.0, [2e-3, 2e-3, 0.01], pose.values.shape)
+        return replace(trial, object_pose=Channel(pose.time[::every], values[::every]))
+
+    assert finding(changed(noisy), "contact").verdict != "wrong"
+
+
 def test_unseen_motion_is_told():
     def gap(trial):
         kept = np.r_[0:80, 115 : len(trial.object_pose.time)]
