@@ -24,6 +24,7 @@ _MOVING = 0.3  # share of the 90th percentile of the object's speed
 _SLOWEST = 2e-3  # m/s
 _GAP_ROWS = 3.0  # usual steps without a pose, beyond which rows in the gap are skipped
 _LARGEST_NOISE = 3e-3  # m; larger scatter is not sensor noise
+_BURST = 3.0  # times the mean speed between two poses, at most, while it moves
 _LARGEST_KINK = 1e-3  # m that the object may be off a straight line between two poses, besides noise
 
 # Common cause of all pushes.
@@ -144,8 +145,8 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
 
     An object that changes speed between two poses moves along two lines, those of the intervals before and
     after. At a share s of the interval Δt these are s Δt |v - v_before| and (1 - s) Δt |v_after - v| away. If
-    it starts or stops anywhere in the interval, it is up to s Δt |v| or (1 - s) Δt |v| away. It rests before
-    the first pose and after the last.
+    it starts or stops anywhere in the interval, it is up to s Δt |v| or (1 - s) Δt |v| away, near the other end
+    no farther than it gets at `_BURST` |v|. It rests before the first pose and after the last.
 
     Args:
         after: (k,) the row of the pose that follows each time.
@@ -158,8 +159,8 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
     passed = time - pose.time[after - 1]
     speed = np.pad(np.linalg.norm(velocity, axis=1), 1)
     own, previous, following = speed[after], speed[after - 1], speed[after + 1]
-    starts = np.where(previous < 0.5 * own, passed * own, 0.0)
-    stops = np.where(following < 0.5 * own, (step - passed) * own, 0.0)
+    starts = np.where(previous < 0.5 * own, np.minimum(passed, _BURST * (step - passed)) * own, 0.0)
+    stops = np.where(following < 0.5 * own, np.minimum(_BURST * passed, step - passed) * own, 0.0)
     bent = np.minimum(passed * before, (step - passed) * behind)
     return np.asarray(np.maximum(bent, np.maximum(starts, stops)))
 

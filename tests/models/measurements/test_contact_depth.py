@@ -9,6 +9,7 @@ from straight_pushes import RADIUS, forced, posed, reread, straight_pushes, tipp
 
 from slipmap.models.geometry import compose, rotated
 from slipmap.models.measurements import Channel, DatasetError, read_dataset, write_dataset
+from slipmap.models.measurements.contact import contact_rows
 from slipmap.models.measurements.trial_checks import fault_of_frame
 
 
@@ -235,3 +236,15 @@ def test_between_poses_that_are_far_apart_nothing_is_said_of_contact(tmp_path):
     """The bar stops between two poses; a line between them has the finger 7 mm in the bar."""
     dataset = reread(tmp_path, straight_pushes(), seldom_seen, only=5)
     assert len(dataset.trials) == 12 and not any("into" in warning for warning in dataset.warnings)
+
+
+def test_the_first_pose_is_compared_whatever_follows(tmp_path):
+    """Where the object starts and stops within one interval, too."""
+
+    def jerked(trial):
+        pose = trial.object_pose
+        return replace(trial, object_pose=Channel(pose.time[[0, -40, -1]], pose.values[[0, -40, -1]]))
+
+    dataset = reread(tmp_path, straight_pushes(), jerked)
+    assert len(dataset.trials) == 12
+    assert all(len(contact_rows(dataset, trial).time) for trial in dataset.trials)
