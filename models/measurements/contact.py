@@ -145,8 +145,8 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
 
     An object that changes speed between two poses moves along two lines, those of the intervals before and
     after. At a share s of the interval Δt these are s Δt |v - v_before| and (1 - s) Δt |v_after - v| away. If
-    it starts or stops anywhere in the interval, it is up to s Δt |v| or (1 - s) Δt |v| away, near the other end
-    no farther than it gets at `_BURST` |v|. It rests before the first pose and after the last.
+    it starts or stops anywhere in the interval, it is up to s Δt |v| or (1 - s) Δt |v| away, near the other
+    end no farther than it gets at `_BURST` |v|. It rests before the first pose and after the last.
 
     Args:
         after: (k,) the row of the pose that follows each time.
