@@ -366,8 +366,7 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
         yield f"the object moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
     if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
         yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
-    untouched = _untouched(setup, trial)
-    if untouched is not None and _begins_at_rest(setup, trial):
+    if _begins_at_rest(setup, trial) and (untouched := _untouched(setup, trial)) is not None:
         yield untouched
     if trial.has_finger:
         if _fastest(trial.tip_pose) > _LARGEST_SPEED:
@@ -401,8 +400,8 @@ def _begins_at_rest(setup: Setup, trial: Trial) -> bool:
 
 def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     yield from impossible(setup, trial)
-    untouched = _untouched(setup, trial)
-    if untouched is not None and trial.ends_only:  # it may have slid already; two poses do not tell
+    # Of two poses alone, which do not tell whether the object was already sliding, this is a doubt.
+    if trial.ends_only and (untouched := _untouched(setup, trial)) is not None:
         yield untouched
     if not trial.has_finger:
         return

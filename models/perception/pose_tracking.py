@@ -257,7 +257,7 @@ class _Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """Search for an object in a depth picture (H, W), m, of which the arm may hide a part."""
+    """Search for an object in a depth picture (H, W), m, in which the arm may hide parts of it."""
 
     image: DepthImage
     view: View
