@@ -52,6 +52,7 @@ def fit_with_trust(
     progress: StageProgress,
     *,
     only_exact: bool = False,
+    near: Ladder | None = None,
 ) -> Ladder:
     """The best fit for every α up to the one of largest evidence.
 
@@ -64,6 +65,7 @@ def fit_with_trust(
         starts: (K, d) coordinates to start from.
         progress: called with (done, total); the search often stops before the last α.
         only_exact: stop after the smallest α if that does not explain the pushes exactly.
+        near: fits of the same model to some of the pushes, from which each α starts instead.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
@@ -73,6 +75,8 @@ def fit_with_trust(
     for rung, alpha in enumerate(MODEL_ERRORS):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         own = part_of(progress, rung, len(MODEL_ERRORS))
+        if near is not None and rung < len(near):
+            starts = near[rung][1].z
         best = fit(likelihood, starts, offsets=offsets, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:

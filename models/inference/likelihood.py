@@ -217,9 +217,7 @@ def _cut(*labels: NDArray[Any]) -> Iterator[slice]:
     return (slice(first, last) for first, last in pairwise(ends))
 
 
-def _alike(
-    pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool, columns: int
-) -> Alike:
+def _alike(pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool, columns: int) -> Alike:
     """Some of the rolled-out pushes, without the mass columns where these are all zero."""
     G = alike.stop - alike.start
     poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])

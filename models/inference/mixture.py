@@ -57,6 +57,10 @@ _ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
 not tried where the model error is largest."""
 
 
+_COMPARED = 100
+"""Of more than twice as many pushes, so many are used to choose laws and structures."""
+
+
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """A model fitted to the pushes."""
@@ -102,10 +106,9 @@ def explain(
     *,
     plain_only: bool,
 ) -> list[Explanation]:
-    """Fit the plain law with every structure, and the other laws with the usual one.
+    """Explanations of the pushes with their shares; those of many pushes are chosen on `_COMPARED` of them.
 
-    The usual structure is the first, or `smooth` if the smallest α suits the first best. With at least
-    `_ENOUGH_PUSHES`, the likeliest law is fitted with every structure too.
+    Hundreds of pushes leave no doubt about laws and structures, so the others need not be fitted to all.
 
     Args:
         dataset: the pushes, the object and its height.
@@ -121,6 +124,37 @@ def explain(
 
     Raises:
         RolloutError: not even the plain law could be fitted.
+    """
+    if len(observations) <= 2 * _COMPARED:
+        return _compared(dataset, observations, settings, progress, found, plain_only=plain_only)
+    some = np.sort(np.random.default_rng(0).choice(len(observations), _COMPARED, replace=False))
+    few, first = [observations[b] for b in some], part_of(progress, 0, 3)
+    chosen = _compared(dataset, few, settings, first, found, plain_only=plain_only)
+
+    def later(done: int, total: int) -> None:
+        progress(total + 2 * done, 3 * total)
+
+    every = []
+    for place, one in enumerate(chosen):
+        prior, own = one.likelihood.prior, part_of(later, place, len(chosen))
+        ladder = fit_with_trust(prior, observations, dataset.noise, one.best.z, own, near=one.ladder)
+        every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
+    return shared_out(every)
+
+
+def _compared(
+    dataset: PushDataset,
+    observations: Sequence[Observation],
+    settings: PriorSettings | None,
+    progress: StageProgress,
+    found: Fitted | None,
+    *,
+    plain_only: bool,
+) -> list[Explanation]:
+    """Fit the plain law with every structure, and the other laws with the usual one; as `explain`.
+
+    The usual structure is the first, or `smooth` if the smallest α suits the first best. With at least
+    `_ENOUGH_PUSHES`, the likeliest law is fitted with every structure too.
     """
     given = () if found is None else found.effects
     structures = {"own": settings} if settings is not None else structures_of(dataset)
@@ -160,9 +194,7 @@ def explain(
             if not known:
                 raise
             return
-        likelihood, last = ladder[-1]
-        evidence = log_evidence(likelihood, last) - float(np.log(likelihood.settings.model_error))
-        every.append(Explanation(name, structure, ladder, evidence if np.isfinite(evidence) else -np.inf))
+        every.append(Explanation(name, structure, ladder, _evidence(ladder)))
 
     usual, *rest = structures
     ask((), usual)
@@ -184,6 +216,13 @@ def explain(
                 ask(law, structure)
     progress(1, 1)
     return shared_out(every)
+
+
+def _evidence(ladder: Ladder) -> float:
+    """Log evidence of the best fit, α's prior included; -inf if it cannot be computed."""
+    likelihood, last = ladder[-1]
+    evidence = log_evidence(likelihood, last) - float(np.log(likelihood.settings.model_error))
+    return evidence if np.isfinite(evidence) else -np.inf
 
 
 def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
