@@ -1,5 +1,7 @@
 """Costs and their slopes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,33 @@ def test_pushes_rolled_out_in_parts_give_the_same_equations(likelihood, monkeypa
     parts = likelihood.linearise(z, offsets, np.ones(2), weights)
     for name, value in vars(together).items():
         assert getattr(parts, name) == pytest.approx(value, rel=1e-12, abs=1e-12), name
+
+
+def test_pushes_of_different_sizes_keep_their_own_equations(likelihood):
+    """Pushes are sorted by size, so that those of one size are weighted together."""
+    dense = likelihood.observations
+    ends = [
+        replace(o, push=replace(o.push, pose_times=o.push.pose_times[-1:]), poses=o.poses[-1:])
+        for o in dense[:2]
+    ]
+    mixed = [dense[0], ends[0], dense[1].without_forces, dense[1], ends[1]]
+    every = Likelihood(likelihood.prior, mixed, GOOD_SENSORS, likelihood.settings)
+    rng = np.random.default_rng(2)
+    z, B = 0.2 * rng.standard_normal((2, likelihood.prior.size)), len(mixed)
+    offsets, weights = 1e-4 * rng.standard_normal((2, B, 3)), rng.uniform(0.5, 1.5, (2, B))
+    together = every.linearise(z, offsets, np.ones(2), weights)
+    hessian, gradient = np.zeros_like(together.hessian), np.zeros_like(together.gradient)
+    for b, own in enumerate(mixed):
+        alone = Likelihood(likelihood.prior, [own], GOOD_SENSORS, likelihood.settings)
+        alone.start_sigma = every.start_sigma[b : b + 1]
+        one = alone.linearise(z, offsets[:, b : b + 1], np.ones(2), weights[:, b : b + 1])
+        hessian, gradient = hessian + one.hessian, gradient + one.gradient
+        assert together.cost[:, b] == pytest.approx(one.cost[:, 0], rel=1e-12)
+        for name in ("start_gain", "start_gradient", "coupling"):
+            ours, theirs = getattr(together, name)[b], getattr(one, name)[0]
+            assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9 * np.abs(theirs).max()), name
+    assert together.hessian == pytest.approx(hessian, rel=1e-9, abs=1e-9 * np.abs(hessian).max())
+    assert together.gradient == pytest.approx(gradient, rel=1e-9, abs=1e-9 * np.abs(gradient).max())
 
 
 def test_lockstep_gives_what_each_start_gives_alone(likelihood):

@@ -14,7 +14,8 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.friction_laws import effect_prior
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import identify
-from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, shared_out
+from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, explain, shared_out
+from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import STRUCTURES
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
@@ -61,6 +62,24 @@ def test_pushes_speak_for_the_law_that_made_them(recorded, names) -> None:  # ty
     assert held < 1.5e-3
     if names:
         assert held < 0.7 * held_plain
+
+
+def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    dataset = made_by(recorded, "impulse_friction")
+    fitted = [observation for observation in observe_all(dataset) if observation.role == "fit"]
+    every = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+    monkeypatch.setattr("slipmap.models.inference.mixture._COMPARED", 2)
+    said: list[float] = []
+    progress = lambda done, total: said.append(done / total)  # noqa: E731
+    chosen = explain(dataset, fitted, None, progress, plain_only=False)
+    assert said == sorted(said) and said[-1] <= 1.0
+    for one in chosen:
+        assert list(one.likelihood.observations) == fitted
+    assert sum(one.share for one in chosen) == pytest.approx(1.0)
+    # Two pushes say too little, so that some explanations that six would rule out are fitted to all six.
+    best = max(every, key=lambda one: one.log_evidence)
+    (same,) = [one for one in chosen if (one.law, one.structure) == (best.law, best.structure)]
+    assert same.best.cost[0] == pytest.approx(best.best.cost[0], rel=0.05)
 
 
 def test_a_belief_of_several_laws_is_kept(recorded, tmp_path) -> None:  # type: ignore[no-untyped-def]
