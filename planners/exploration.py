@@ -16,9 +16,7 @@ from slipmap.models.physics.rollout import Push
 DESCENT = 0.008
 """Clearance around the finger where it comes down, m: the largest combined error of object and finger."""
 
-TOUCH = 1e-9
-"""A path closer to the object than the finger's radius less this counts as touching, m."""
-
+TOUCH = 1e-9  # a path closer to the object than the finger's radius less this counts as touching, m
 _TRIES = 20  # directions drawn per cell
 
 

@@ -47,9 +47,7 @@ STRIDE = 2.5e-3
 0.1 m end within 0.2 mm (95 %), over 0.25 m within 0.4 mm."""
 
 _DRIFTS = 20240607  # seed of the model errors
-
-NEGLIGIBLE = 1e-4
-"""Probability below which a hypothesis is not simulated."""
+NEGLIGIBLE = 1e-4  # probability below which a hypothesis is not simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,8 +244,7 @@ def _rolled_out(
     return out.poses.reshape(*shape, looks, 3), out.tips, out.reached
 
 
-PAIRS = 100_000
-"""Number of pairs of pushes in the look-up."""
+PAIRS = 100_000  # number of pairs of pushes in the look-up
 
 
 class Lookahead:

@@ -7,9 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-LEVEL = (0.0, 0.0, 0.0, 1.0)
-"""The identity quaternion."""
-
+LEVEL = (0.0, 0.0, 0.0, 1.0)  # the identity quaternion
 _LINK_MASS = 1e-6  # kg
 _FINGER_MASS = 1e-2  # kg; so light that its drive force is the contact force
 

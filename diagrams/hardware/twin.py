@@ -51,9 +51,7 @@ from slipmap.diagrams.systems.python_system import (
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
-LATE = 0.1
-"""s by which the twin may be late before it stops trying to catch up: a real arm would not hurry."""
-
+LATE = 0.1  # s by which the twin may be late before it stops trying to catch up: a real arm would not hurry
 _REPORT_EVERY = 10.0  # s
 _PLAYED_LATER = 0.015  # s; messages do not arrive quite evenly
 

@@ -59,8 +59,7 @@ DOING = {
 }
 
 
-ROUND = "the object looks round, so its angle is held fixed"
-"""Remark on an object whose angle cannot be seen."""
+ROUND = "the object looks round, so its angle is held fixed"  # remark on an object whose angle cannot be seen
 
 
 class ExplorationFailed(RuntimeError):

@@ -22,9 +22,7 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
-STEP = 2e-3
-"""s"""
-
+STEP = 2e-3  # s
 _SINK = 2e-4  # m; penetration of every foot under the weight of its cell
 _CLEARANCE = 4e-4  # m; between the feet's lower end and the prisms
 _FOOT_RADIUS = 2e-3  # m
@@ -37,9 +35,7 @@ _ITERATIONS = 50
 _CONTACTS = 4  # contacts that Bullet keeps between two bodies
 _APART = 0.03  # m; Bullet merges contacts closer than 20 mm
 _TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
-
-Pose = tuple[list[float], list[float]]
-"""Place, and quaternion with the real part last."""
+Pose = tuple[list[float], list[float]]  # place, and quaternion with the real part last
 
 
 class BulletWorld(DirectWorld):

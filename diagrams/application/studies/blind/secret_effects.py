@@ -497,9 +497,7 @@ class Kind(NamedTuple):
         return effect
 
 
-PLAIN = Kind("none", Effect, lambda c: {})
-"""The plain world."""
-
+PLAIN = Kind("none", Effect, lambda c: {})  # the plain world
 _FIELD = "table_friction_field"
 LIBRARY = (
     Kind("table_tilt", table_tilt, lambda c: {
