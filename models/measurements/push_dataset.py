@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -153,6 +154,10 @@ class Trial:
         Exactly zero if `ends_only`, or if the rows do not show motion from the first row on; see
         `initial_twist` for the robust fit and the significance test.
         """
+        return self._initial_velocity.copy()
+
+    @cached_property
+    def _initial_velocity(self) -> FloatArray:
         if self.ends_only:
             return np.zeros(3)
         return initial_twist(self.object_pose.time, self.object_pose.values)

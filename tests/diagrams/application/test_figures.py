@@ -162,7 +162,9 @@ def test_a_push_panel_holds_measurement_hypotheses_and_finger(belief):
     predictions, dataset = pushes_of(belief, 2)
     (figure,) = push_figures(predictions, dataset)
     axes = figure.axes[0]
-    outlines = [patch.get_path().vertices for patch in axes.patches if len(patch.get_path().vertices) == 5]
+    shapes = [patch.get_path() for patch in axes.patches]
+    shapes += [shape for many in axes.collections for shape in many.get_paths()]
+    outlines = [shape.vertices for shape in shapes if len(shape.vertices) == 5]
     expected = [
         outline_path(dataset.grid, pose).vertices
         for pose in (
