@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slipmap.models.geometry import compose, relative
+from slipmap.models.geometry import compose, relative, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, own_balance_margins
@@ -37,7 +37,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
-from slipmap.planners.exploration import NoReachablePush, turn
+from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric

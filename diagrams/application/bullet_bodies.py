@@ -39,6 +39,17 @@ def body_of_links(
     )  # fmt: skip
 
 
+def set_foot(
+    p: ModuleType, where: dict[str, int], body: int, link: int, mass: float, mu: float, sink: float
+) -> None:
+    """Let a link carry the weight of a mass (kg) where it has sunk in by `sink` (m), with friction `mu`."""
+    stiffness = mass * 9.81 / sink
+    p.changeDynamics(
+        body, link, lateralFriction=mu, contactStiffness=stiffness,
+        contactDamping=2 * np.sqrt(stiffness * mass), **where,
+    )  # fmt: skip
+
+
 def finger_on_rails(
     p: ModuleType, where: dict[str, int], shape: int, height: float, group: int, mask: int
 ) -> int:

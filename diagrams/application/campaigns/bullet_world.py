@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
+from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails, set_foot
 from slipmap.diagrams.application.campaigns.worlds import (
     AT_REST,
     LONGEST_SETTLING,
@@ -163,12 +163,7 @@ class BulletWorld(DirectWorld):
             body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
         )
         for link, (first, *_) in enumerate(groups):
-            mass = thing.mass[first]
-            stiffness = mass * GRAVITY / _SINK
-            p.changeDynamics(
-                body, link, lateralFriction=thing.mu[first], contactStiffness=stiffness,
-                contactDamping=2 * np.sqrt(stiffness * mass), **where,
-            )  # fmt: skip
+            set_foot(p, where, body, link, thing.mass[first], thing.mu[first], _SINK)
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
         # The prisms hang just above the table: only real contacts count.
         for block in range(n, count):
