@@ -118,6 +118,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: _rank(item.path, first))
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Note which kernels ran while files were imported: where none is compiled yet, all workers would do it."""
+    kernels = vars(sys.modules.get("slipmap.models.physics.kernel", object))
+    ran = [name for name, thing in kernels.items() if getattr(thing, "signatures", None)]
+    session.config.ran_at_collection = ran
+
+
 def _rank(path: Path, first: str) -> int:
     """Place of a file: the one that compiles, those that need no kernels, the costly ones, all others."""
     if path.name == first:
