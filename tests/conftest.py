@@ -119,7 +119,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Note which kernels ran while files were imported: where none is compiled yet, all workers would do it."""
+    """Note which kernels ran while files were imported; all workers would compile them."""
     kernels = vars(sys.modules.get("slipmap.models.physics.kernel", object))
     ran = [name for name, thing in kernels.items() if getattr(thing, "signatures", None)]
     session.config.ran_at_collection = ran
