@@ -37,7 +37,7 @@ COSTLY = (
 # runs what needs none of them, and first compiles those of pictures; elsewhere both would compile the same.
 COMPILES, COMPILES_QUICK = COSTLY[0], "test_effect_derivatives.py"
 WITHOUT_KERNELS = ("diagrams/perception", "models/perception", "models/measurements", "models/objects")
-WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py")
+WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py", "test_lab_session.py")
 
 # What `--quick` leaves out: plants, twins, browsers, notebooks, many processes, and long computations.
 NOT_QUICK_FOLDERS = (
