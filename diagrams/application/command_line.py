@@ -234,8 +234,6 @@ def main() -> None:
     # The matrices are small and the rollouts have their own threads: with another program on the same
     # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Idle threads of the rollouts must not keep a core from other threads.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Terminating the command from outside, or closing its terminal, acts like Ctrl-C: workers end with it,
     # and nothing half-written is left.
     for number in (signal.SIGTERM, signal.SIGHUP):

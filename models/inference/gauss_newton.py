@@ -137,11 +137,11 @@ def _shifted(
     sigma: FloatArray,
 ) -> FloatArray:
     """Start offsets after a step of the maps, with its damping, kept within four standard deviations."""
-    result = shift.copy()
-    for b in range(shift.shape[1]):
-        slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)
-        own = np.einsum("kij,kj->ki", equations.start_gain[b, who], slope)
-        result[:, b] -= own / (1.0 + damping[:, None])
+    every = len(who) == equations.coupling.shape[1]
+    coupling = equations.coupling if every else equations.coupling[:, who]
+    slope = equations.start_gradient[:, who] + (step[None, :, None] @ coupling)[:, :, 0]
+    own = (equations.start_gain[:, who] @ slope[..., None])[..., 0].swapaxes(0, 1)
+    result = shift - own / (1.0 + damping[:, None, None])
     return np.clip(result, -4.0 * sigma, 4.0 * sigma)
 
 

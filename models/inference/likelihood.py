@@ -17,9 +17,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration, rotated
 from slipmap.models.inference.observations import Observation
@@ -30,6 +32,9 @@ from slipmap.models.physics.rollout import Maps, Push, Rollouts
 
 _JACOBIANS = 2**28
 """Most bytes for the Jacobians of pushes rolled out together."""
+
+_ALIKE = 2**22
+"""The same for pushes whose residuals are weighted together; what the cache holds is fastest."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,16 @@ class PushCosts(Protocol):
         """Costs and normal equations, see `PushLikelihood.linearise`."""
 
 
+class Alike(NamedTuple):
+    """Rollouts of G pushes with equally many poses S and forces T, and their derivatives by p columns."""
+
+    pushes: NDArray[np.int64]  # (G,) which of the B pushes these are
+    poses: FloatArray  # (K, G, S, 3)
+    forces: FloatArray  # (K, G, T, 2)
+    d_poses: FloatArray  # (K, G, S, 3, p)
+    d_forces: FloatArray  # (K, G, T, 2, p)
+
+
 class PushLikelihood(ABC):
     """Costs of K hypotheses on B observed pushes, for any model of the residuals.
 
@@ -95,6 +110,15 @@ class PushLikelihood(ABC):
         self._pushes = list(pushes)
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
+        sizes = [self._size(b) for b in range(len(self._pushes))]
+        self._order = np.array(sorted(range(len(sizes)), key=sizes.__getitem__), dtype=np.int64)
+        kinds = {size: kind for kind, size in enumerate(sorted(set(sizes)))}
+        self._kind = np.array([kinds[sizes[b]] for b in self._order], dtype=np.int64)
+
+    def _size(self, b: int) -> tuple[int, ...]:
+        """What has to agree for pushes to be weighted together: numbers of poses, forces and so on."""
+        times = self._pushes[b].force_times
+        return len(self.observations[b].poses), 0 if times is None else len(times)
 
     def linearise(
         self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
@@ -120,68 +144,98 @@ class PushLikelihood(ABC):
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
         couplings = np.empty((B, K, d, 3))
-        for b, rollouts, place in self._rolled_out(maps, offsets, P):
-            J, r, own = self._whitened(rollouts, b, place)
-            p = J.shape[-1]
-            cost[:, b] += own
-            transposed = J.transpose(0, 2, 1)
-            full = transposed @ J
+        for alike in self._rolled_out(maps, offsets, P):
+            own = alike.pushes
+            J, r, own_cost = self._whitened(alike)
+            G, p = len(own), J.shape[-1]
+            cost[:, own] += own_cost
+            transposed = J.swapaxes(-1, -2)
+            coupling = transposed @ J[..., start]
             slope = (transposed @ r[..., None])[..., 0]
-            start_hessian = full[:, start, start] + np.diag(self.start_sigma[b] ** -2.0)
-            start_gradient = slope[:, start] + scaled_offsets[:, b] / self.start_sigma[b]
-            coupling = full[:, :, start]
-            gain = np.linalg.inv(start_hessian)
-            w = weights[:, b]
-            own_hessian = full - coupling @ gain @ coupling.transpose(0, 2, 1)
-            own_gradient = slope - (coupling @ gain @ start_gradient[..., None])[..., 0]
-            reduced_hessian[:, :p, :p] += w[:, None, None] * own_hessian
-            reduced_gradient[:, :p] += w[:, None] * own_gradient
-            gains[b], start_gradients[b] = gain, start_gradient
-            couplings[b] = by_column[..., :p] @ coupling
+            precision = self.start_sigma[own, :, None] ** -2.0 * np.eye(3)
+            gain = np.linalg.inv(coupling[..., start, :] + precision)
+            start_gradient = slope[..., start] + scaled_offsets[:, own] / self.start_sigma[own]
+            w = weights[:, own]
+            # Sums over the pushes are products of matrices with the rows, or columns, of all of them.
+            rows = (np.sqrt(w)[..., None, None] * J).reshape(K, -1, p)
+            eliminated = w[..., None, None] * (coupling @ gain)
+            beside = coupling.transpose(0, 2, 1, 3).reshape(K, p, 3 * G)
+            reduced_hessian[:, :p, :p] += rows.transpose(0, 2, 1) @ rows
+            reduced_hessian[:, :p, :p] -= eliminated.transpose(0, 2, 1, 3).reshape(K, p, 3 * G) @ (
+                beside.transpose(0, 2, 1)
+            )
+            reduced_gradient[:, :p] += (w[..., None] * slope).sum(axis=1)
+            reduced_gradient[:, :p] -= (eliminated @ start_gradient[..., None])[..., 0].sum(axis=1)
+            gains[own], start_gradients[own] = gain.swapaxes(0, 1), start_gradient.swapaxes(0, 1)
+            by_start = (by_column[..., :p] @ beside).reshape(K, d, G, 3)
+            couplings[own] = by_start.transpose(2, 0, 1, 3)
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
 
-    def _rolled_out(
-        self, maps: Maps, offsets: FloatArray, columns: int
-    ) -> Iterator[tuple[int, Rollouts, int]]:
-        """Each push b, the rollouts that contain it, and its place in them; pushes are rolled out in batches
-        whose Jacobians over P columns take at most about `_JACOBIANS` bytes."""
-        K, B = len(maps), len(self.observations)
-        forces = [0 if p.force_times is None else len(p.force_times) for p in self._pushes]
-        rows = 3 * np.array([len(o.poses) for o in self.observations]) + 2 * np.array(forces)
-        parts = np.cumsum(8 * K * columns * rows) // _JACOBIANS
-        for part in np.split(np.arange(B), np.flatnonzero(np.diff(parts)) + 1):
+    def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
+        """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
+        at most about `_JACOBIANS` bytes, and of these those of one size together."""
+        K = len(maps)
+        poses = np.array([len(self.observations[b].poses) for b in self._order])
+        forces = np.array([len(np.atleast_1d(self._pushes[b].force_times)) for b in self._order])
+        size = 8 * K * columns * (3 * poses + 2 * forces)
+        for part in _cut(np.cumsum(size) // _JACOBIANS):
+            own = self._order[part]
             rollouts = self.prior.slider.rollout(
                 maps,
-                [self._pushes[b] for b in part],
+                [self._pushes[b] for b in own],
                 sensitivities=True,
-                start_poses=self._starts[part] + offsets[:, part],
-                start_twists=np.broadcast_to(self._twists[part], (K, len(part), 3)),
+                start_poses=self._starts[own] + offsets[:, own],
+                start_twists=np.broadcast_to(self._twists[own], (K, len(own), 3)),
             )
-            for place, b in enumerate(part.tolist()):
-                yield b, rollouts, place
+            reached = np.asarray(rollouts.reached.any(axis=0))
+            for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
+                yield _alike(own, alike, rollouts, reached[alike.start], self.prior.slider.columns)
 
-    def _pose_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
-        """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, S, 3), m, and derivatives
-        (K, S, 3, P) with respect to the rollout's own columns."""
-        measured, predicted = self.observations[b].poses, rollouts.poses_of(place)
+    def _pose_errors(self, alike: Alike) -> tuple[FloatArray, FloatArray]:
+        """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, G, S, 3), m, and derivatives
+        (K, G, S, 3, p) with respect to the rollout's own columns."""
+        measured = np.stack([self.observations[b].poses for b in alike.pushes])
+        predicted = alike.poses
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
-        slopes = slopes_at_centroid(
-            self._by_own(rollouts.d_poses_of(place), rollouts, place), arm, self._radius
-        )
+        slopes = slopes_at_centroid(alike.d_poses, arm, self._radius)
         return np.concatenate([here - there, turn], axis=-1), slopes
 
-    def _by_own(self, slopes: FloatArray, rollouts: Rollouts, place: int) -> FloatArray:
-        """Derivatives (…, P) of the push at a place, without the mass columns where these are all zero."""
-        return slopes if rollouts.reached[:, place].any() else slopes[..., : self.prior.slider.columns]
-
     @abstractmethod
-    def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Jacobians (K, R, P) and residuals (K, R) of push b, which is at a place in the rollouts, in
-        standard deviations and with the weights of a robust cost, and that cost (K,)."""
+    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Jacobians (K, G, R, p) and residuals (K, G, R) of some pushes, in standard deviations and with the
+        weights of a robust cost, and that cost (K, G)."""
+
+
+def _cut(*labels: NDArray[Any]) -> Iterator[slice]:
+    """Runs of entries whose labels, arrays (n,), are all equal."""
+    changes = np.any([label[1:] != label[:-1] for label in labels], axis=0)
+    ends = [0, *(np.flatnonzero(changes) + 1).tolist(), len(labels[0])]
+    return (slice(first, last) for first, last in pairwise(ends))
+
+
+def _alike(
+    pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool, columns: int
+) -> Alike:
+    """Some of the rolled-out pushes, without the mass columns where these are all zero."""
+    G = alike.stop - alike.start
+    poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
+    forces = slice(rollouts.force_at[alike.start], rollouts.force_at[alike.stop])
+    used = slice(None) if reached else slice(columns)
+
+    def split(rows: FloatArray) -> FloatArray:
+        return rows.reshape(len(rows), G, -1 if rows.size else 0, *rows.shape[2:])
+
+    return Alike(
+        pushes[alike],
+        split(rollouts.poses[:, poses]),
+        split(rollouts.forces[:, forces]),
+        split(rollouts.d_poses[:, poses, :, used]),
+        split(rollouts.d_forces[:, forces, :, used]),
+    )
 
 
 class Likelihood(PushLikelihood):
@@ -210,7 +264,7 @@ class Likelihood(PushLikelihood):
         super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)))
         self.settings = settings
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
-        self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
+        self._force_sigmas = np.array([self._force_sigma(one, noise) for one in self.observations])
 
     def _pose_sigma(self, observation: Observation, noise: Noise) -> FloatArray:
         s = self.settings
@@ -246,27 +300,29 @@ class Likelihood(PushLikelihood):
                 total += 2.0 * forces * float(np.log(force))
         return total
 
-    def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        observation, settings = self.observations[b], self.settings
-        error, slopes = self._pose_errors(rollouts, b, place)
-        groups: list[tuple[FloatArray, FloatArray, FloatArray | float, float]] = [
-            (error, slopes, self._sigmas[b], settings.independent)
-        ]
-        sliding = observation.sliding
+    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        settings, seen = self.settings, [self.observations[b] for b in alike.pushes]
+        error, slopes = self._pose_errors(alike)
+        K, G, S, _, p = slopes.shape
+        sigma = np.stack([self._sigmas[b] for b in alike.pushes])
+        share = np.full((G, 1), min(1.0, settings.independent / S))
+        groups = [(error, slopes, sigma, share)]
+        sliding = np.stack([observation.sliding for observation in seen])
         if sliding.any():
-            error = rollouts.forces_of(place)[:, sliding] - observation.forces[sliding]
-            slopes = self._by_own(rollouts.d_forces_of(place), rollouts, place)[:, sliding]
-            groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
-        K, P = len(error), slopes.shape[-1]
-        jacobians, residuals, costs = [], [], np.zeros(K)
-        for error, slopes, sigma, independent in groups:
-            share = min(1.0, independent / error.shape[1])
+            used = sliding.any(axis=0)
+            error = alike.forces - np.stack([observation.forces for observation in seen])
+            sigma = self._force_sigmas[alike.pushes][:, None]
+            share = np.minimum(1.0, settings.independent_forces / np.maximum(sliding.sum(axis=1), 1))
+            share = sliding[:, used] * share[:, None]
+            groups.append((error[:, :, used], alike.d_forces[:, :, used], sigma, share))
+        jacobians, residuals, costs = [], [], np.zeros((K, G))
+        for error, slopes, sigma, share in groups:
             weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)
             root = np.sqrt(share * weight) / sigma
-            jacobians.append((slopes * root[..., None, None]).reshape(K, -1, P))
-            residuals.append((error * root[..., None]).reshape(K, -1))
-            costs += share * cost.sum(axis=1)
-        return np.concatenate(jacobians, axis=1), np.concatenate(residuals, axis=1), costs
+            jacobians.append((slopes * root[..., None, None]).reshape(K, G, -1, p))
+            residuals.append((error * root[..., None]).reshape(K, G, -1))
+            costs += (share * cost).sum(axis=-1)
+        return np.concatenate(jacobians, axis=2), np.concatenate(residuals, axis=2), costs
 
     def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Huber's weight and cost of residual norms in standard deviations."""
@@ -277,15 +333,15 @@ class Likelihood(PushLikelihood):
 
 
 def slopes_at_centroid(slopes: FloatArray, arm: FloatArray, radius: float) -> FloatArray:
-    """(K, S, 3, P) derivatives of (x, y, ρ θ) of the cells' centroid, from those of the object frame's pose.
+    """(…, 3, P) derivatives of (x, y, ρ θ) of the cells' centroid, from those of the object frame's pose.
 
     Args:
-        slopes: (K, S, 3, P) of x, y, θ.
-        arm: (K, S, 2) from the frame's origin to the centroid, world, m.
+        slopes: (…, 3, P) of x, y, θ.
+        arm: (…, 2) from the frame's origin to the centroid, world, m.
         radius: ρ, m.
     """
     result = slopes.copy()
-    result[:, :, 0] -= arm[..., 1:] * result[:, :, 2]
-    result[:, :, 1] += arm[..., :1] * result[:, :, 2]
-    result[:, :, 2] *= radius
+    result[..., 0, :] -= arm[..., 1:] * result[..., 2, :]
+    result[..., 1, :] += arm[..., :1] * result[..., 2, :]
+    result[..., 2, :] *= radius
     return result

@@ -15,24 +15,27 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import PushLikelihood
+from slipmap.models.inference.likelihood import Alike, PushLikelihood
 from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.rollout import Push, Rollouts
+from slipmap.models.physics.rollout import Push
 
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Inverse Cholesky factors of the covariances of one push."""
+    """Inverse Cholesky factors of the covariances of one push, or of G pushes of one size."""
 
-    pose: FloatArray  # (3, S, S) of x, y and ρ θ
-    force: FloatArray  # (T, T) of one component of the forces that count
+    pose: FloatArray  # (3, S, S) or (G, 3, S, S), of x, y and ρ θ
+    force: FloatArray  # (T, T) or (G, T, T), of one component of the forces that count
     log_determinant: float  # log determinant of the Cholesky factors, which normalises densities
 
     def __call__(self, pose: FloatArray, force: FloatArray) -> FloatArray:
-        """Whiten columns of residuals or derivatives: (…, S, 3, c) and (…, T, 2, c) to (…, 3 S + 2 T, c)."""
-        parts = [self.pose[i] @ pose[..., i, :] for i in range(3)]
+        """Whiten columns of residuals or derivatives: (…, S, 3, c) and (…, T, 2, c) to (…, 3 S + 2 T, c).
+
+        Where there are several pushes, … ends with G.
+        """
+        parts = [self.pose[..., i, :, :] @ pose[..., i, :] for i in range(3)]
         if force.shape[-3]:
             parts += [self.force @ force[..., i, :] for i in range(2)]
         return np.concatenate(parts, axis=-2)
@@ -160,33 +163,34 @@ class CorrelatedLikelihood(PushLikelihood):
         """Residuals and derivatives of one hypothesis z (d,) with start offsets (B, 3), for all pushes."""
         maps = self.prior.maps(z[None])
         columns = self.prior.columns(maps).shape[1]
-        found = []
-        for b, rollouts, place in self._rolled_out(maps, offsets[None], columns):
-            pose, pose_slopes = self._pose_errors(rollouts, b, place)
-            force, force_slopes = self._force_errors(rollouts, b, place)
-            found.append(
-                Linearised(
-                    pose[0], self.prior.chain(maps, pose_slopes)[0],
-                    force[0], self.prior.chain(maps, force_slopes)[0],
-                )
-            )  # fmt: skip
-        return found
+        found: dict[int, Linearised] = {}
+        for alike in self._rolled_out(maps, offsets[None], columns):
+            (pose, pose_slopes), (force, force_slopes) = self._pose_errors(alike), self._force_errors(alike)
+            by_z = self.prior.chain(maps, pose_slopes)[0], self.prior.chain(maps, force_slopes)[0]
+            for place, b in enumerate(alike.pushes.tolist()):
+                found[b] = Linearised(pose[0, place], by_z[0][place], force[0, place], by_z[1][place])
+        return [found[b] for b in range(len(self.observations))]
 
-    def _force_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
-        """Mean forces, predicted minus measured (K, T, 2), N, and derivatives (K, T, 2, P)."""
-        observation, mean = self.observations[b], self.measured.stretches[b]
-        every = self._by_own(rollouts.d_forces_of(place), rollouts, place)
-        K, steps, _, P = every.shape
-        slopes = (mean @ every.reshape(K, steps, 2 * P)).reshape(K, -1, 2, P)
-        return mean @ rollouts.forces_of(place) - observation.forces[observation.sliding], slopes
+    def _size(self, b: int) -> tuple[int, ...]:
+        return *super()._size(b), int(self.observations[b].sliding.sum())
 
-    def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        pose, pose_slopes = self._pose_errors(rollouts, b, place)
-        force, force_slopes = self._force_errors(rollouts, b, place)
-        J = self.whiteners[b](pose_slopes, force_slopes)
-        r = self.whiteners[b](pose[..., None], force[..., None])[..., 0]
-        weight, cost = _robust((r**2).sum(axis=1), r.shape[1])
-        root = np.sqrt(weight)[:, None]
+    def _force_errors(self, alike: Alike) -> tuple[FloatArray, FloatArray]:
+        """Mean forces, predicted minus measured (K, G, T, 2), N, and derivatives (K, G, T, 2, p)."""
+        mean = np.stack([self.measured.stretches[b] for b in alike.pushes])
+        seen = [self.observations[b] for b in alike.pushes]
+        measured = np.stack([observation.forces[observation.sliding] for observation in seen])
+        K, G, steps, _, p = alike.d_forces.shape
+        slopes = (mean @ alike.d_forces.reshape(K, G, steps, 2 * p)).reshape(K, G, -1, 2, p)
+        return mean @ alike.forces - measured, slopes
+
+    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        (pose, pose_slopes), (force, force_slopes) = self._pose_errors(alike), self._force_errors(alike)
+        own = [self.whiteners[b] for b in alike.pushes]
+        whitener = Whitener(np.stack([one.pose for one in own]), np.stack([one.force for one in own]), 0.0)
+        J = whitener(pose_slopes, force_slopes)
+        r = whitener(pose[..., None], force[..., None])[..., 0]
+        weight, cost = _robust((r**2).sum(axis=-1), r.shape[-1])
+        root = np.sqrt(weight)[..., None]
         return J * root[..., None], r * root, cost
 
 
@@ -195,7 +199,7 @@ _OUTLIER = 2.5
 
 
 def _robust(square: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Huber's weights and costs (K,) of a push from the squared norms (K,) of its whitened residuals."""
+    """Huber's weights and costs (…) of pushes from the squared norms (…) of their whitened residuals."""
     norm, limit = np.sqrt(square), _OUTLIER * float(np.sqrt(rows))
     beyond = norm > limit
     weight = np.where(beyond, limit / np.maximum(norm, 1e-300), 1.0)
