@@ -15,6 +15,12 @@ def cross(one: FloatArray, other: FloatArray) -> FloatArray:
     return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
 
 
+def turn(angle: float) -> FloatArray:
+    """(2, 2) rotation by an angle, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
 def rotated(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """(…, 2) vectors turned by angles (…) in rad; leading axes broadcast."""
     c, s = np.cos(angle), np.sin(angle)

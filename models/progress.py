@@ -2,11 +2,8 @@
 
 from collections.abc import Callable
 
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, total)."""
-
-StageProgress = Callable[[int, int], None]
-"""The same for one stage: called with (done, total)."""
+Progress = Callable[[str, int, int], None]  # called with (stage, done, total)
+StageProgress = Callable[[int, int], None]  # the same for one stage: called with (done, total)
 
 
 def silent(stage: str, done: int, total: int) -> None:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import radius_of_gyration, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, RolloutError
-from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
+from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from slipmap.models.geometry import rotated
+from slipmap.models.geometry import rotated, turn
 from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
@@ -16,9 +16,7 @@ from slipmap.models.physics.rollout import Push
 DESCENT = 0.008
 """Clearance around the finger where it comes down, m: the largest combined error of object and finger."""
 
-TOUCH = 1e-9
-"""A path closer to the object than the finger's radius less this counts as touching, m."""
-
+TOUCH = 1e-9  # a path closer to the object than the finger's radius less this counts as touching, m
 _TRIES = 20  # directions drawn per cell
 
 
@@ -172,9 +170,3 @@ def _check(
             )
     if not 0 <= cone < np.pi / 2:
         raise ValueError(f"exploration: cone must lie in [0, π/2) rad, got {cone}")
-
-
-def turn(angle: float) -> FloatArray:
-    """(2, 2) rotation by an angle, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])

@@ -20,12 +20,8 @@ from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, 
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
-RAMP = 0.1
-"""Time in which the finger speeds up, s."""
-
-AFTERWARDS = 0.4
-"""Time observed after it has stopped, s."""
-
+RAMP = 0.1  # time in which the finger speeds up, s
+AFTERWARDS = 0.4  # time observed after it has stopped, s
 _REST = 0.1  # s for which it waits before it starts
 
 

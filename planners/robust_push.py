@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slipmap.models.geometry import compose, relative
+from slipmap.models.geometry import compose, relative, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, own_balance_margins
@@ -37,7 +37,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
-from slipmap.planners.exploration import NoReachablePush, turn
+from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
@@ -47,9 +47,7 @@ STRIDE = 2.5e-3
 0.1 m end within 0.2 mm (95 %), over 0.25 m within 0.4 mm."""
 
 _DRIFTS = 20240607  # seed of the model errors
-
-NEGLIGIBLE = 1e-4
-"""Probability below which a hypothesis is not simulated."""
+NEGLIGIBLE = 1e-4  # probability below which a hypothesis is not simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,8 +244,7 @@ def _rolled_out(
     return out.poses.reshape(*shape, looks, 3), out.tips, out.reached
 
 
-PAIRS = 100_000
-"""Number of pairs of pushes in the look-up."""
+PAIRS = 100_000  # number of pairs of pushes in the look-up
 
 
 class Lookahead:

@@ -14,6 +14,7 @@ TOUCH_SPEED = 0.05
 TAP_SPEEDING_UP, TAP_SLOWING_DOWN = 3.0, 5.0
 """Accelerations of the finger in a tap, m/s². The finger stops faster than friction stops the object, which
 slides on alone; the arm can brake this hard nearly everywhere, but at 8 m/s² in few places."""
+_ACCELERATION = 0.5  # of a finger in pushes other than taps, speeding up and slowing down, m/s²
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +95,13 @@ class TablePush:
                 speeds.append(reached)
         return Pace(np.array(times), np.array(ways), np.array(speeds))
 
-    def path(
-        self, step: float, *, speeding_up: float = 0.5, slowing_down: float = 0.5, rest: float = 0.4
-    ) -> FloatArray:
+    def path(self, step: float, *, rest: float = 0.4) -> FloatArray:
         """(N + 1, 2) centre of the finger in the world, m, every `step` (s): the `tip` of a `Push`.
 
         The finger rests before and after it moves; after a tap, the object slides on during that rest.
 
         Args:
             step: s.
-            speeding_up: acceleration in pushes other than taps, m/s².
-            slowing_down: deceleration in pushes other than taps, m/s².
             rest: shortest rest before and after, s.
 
         Raises:
@@ -112,7 +109,7 @@ class TablePush:
         """
         if not (np.isfinite(step) and step > 0):
             raise ValueError(f"push: the step must be positive, got {step} s")
-        pace = self.pace(speeding_up, slowing_down)
+        pace = self.pace(_ACCELERATION, _ACCELERATION)
         times: FloatArray = step * np.arange(int(np.ceil((pace.duration + 2 * rest) / step)) + 1, dtype=float)
         return self.begin + np.outer(pace.at(times - rest), self.direction)
 

@@ -27,7 +27,7 @@ import shapely
 
 from slipmap.models.effects import LIBRARY, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
-from slipmap.models.geometry import angle_between
+from slipmap.models.geometry import angle_between, turn
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.results import Diagnosis
@@ -39,7 +39,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
 from slipmap.models.progress import Progress, silent
-from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
+from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
 
 MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])

@@ -54,9 +54,7 @@ class PoseMetric:
         return np.sqrt(np.maximum(square, 0.0))
 
 
-ITERATIONS = 250
-"""Iterations of RRT*."""
-
+ITERATIONS = 250  # iterations of RRT*
 _RANGE = 0.2  # longest edge of the tree, m
 _RESOLUTION = 0.02  # distance between poses on an edge at which balance is checked, m
 

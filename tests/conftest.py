@@ -2,6 +2,7 @@
 
 import os
 import random
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,24 +15,29 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
+# Where Python may not keep bytecode, each of some hundred processes would compile the same modules again.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
-# nothing left to do; by itself, xdist begins files with few tests last.
+# nothing left to do; by itself, xdist begins files with few tests last. The first two compile most kernels,
+# each on one worker: what runs on a station comes after those that run on none.
 COSTLY = (
     "test_missing_effect.py",
     "test_explore.py",
-    "test_station_hides_an_effect.py",
-    "test_notebooks.py",
-    "test_pregrasp_loop.py",
     "test_diagnose.py",
     "test_two_effects.py",
     "test_generator.py",
+    "test_station_hides_an_effect.py",
+    "test_notebooks.py",
+    "test_pregrasp_loop.py",
 )
 
-# Where kernels are not compiled yet, the first file compiles them all. Meanwhile the other worker runs what
-# needs none of them; elsewhere it would compile the same kernels a second time.
+# Where kernels are not compiled yet, the first file compiles those of the model. Meanwhile the other worker
+# runs what needs none of them, and first compiles those of pictures; elsewhere both would compile the same.
 COMPILES, COMPILES_QUICK = COSTLY[0], "test_effect_derivatives.py"
-WITHOUT_KERNELS = ("models/measurements", "models/objects", "models/perception", "diagrams/perception")
-WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py")
+WITHOUT_KERNELS = ("diagrams/perception", "models/perception", "models/measurements", "models/objects")
+WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py", "test_lab_session.py")
 
 # What `--quick` leaves out: plants, twins, browsers, notebooks, many processes, and long computations.
 NOT_QUICK_FOLDERS = (
@@ -112,14 +118,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: _rank(item.path, first))
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Note which kernels ran while files were imported; all workers would compile them."""
+    kernels = vars(sys.modules.get("slipmap.models.physics.kernel", object))
+    ran = [name for name, thing in kernels.items() if getattr(thing, "signatures", None)]
+    session.config.ran_at_collection = ran
+
+
 def _rank(path: Path, first: str) -> int:
     """Place of a file: the one that compiles, those that need no kernels, the costly ones, all others."""
     if path.name == first:
-        return -2
+        return -1 - len(WITHOUT_KERNELS)
     if path.name in COSTLY:
         return COSTLY.index(path.name)
-    free = any(path.is_relative_to(TESTS / folder) for folder in WITHOUT_KERNELS)
-    return -1 if free and path.name not in WITH_KERNELS_ALL_THE_SAME else len(COSTLY)
+    for place, folder in enumerate(WITHOUT_KERNELS, -len(WITHOUT_KERNELS)):
+        if path.is_relative_to(TESTS / folder) and path.name not in WITH_KERNELS_ALL_THE_SAME:
+            return place
+    return len(COSTLY)
 
 
 @pytest.fixture(scope="session")

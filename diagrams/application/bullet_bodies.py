@@ -7,9 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-LEVEL = (0.0, 0.0, 0.0, 1.0)
-"""The identity quaternion."""
-
+LEVEL = (0.0, 0.0, 0.0, 1.0)  # the identity quaternion
 _LINK_MASS = 1e-6  # kg
 _FINGER_MASS = 1e-2  # kg; so light that its drive force is the contact force
 
@@ -38,6 +36,17 @@ def body_of_links(
             linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
             linkJointAxis=[[0, 0, 1]] * count, **where,
         )
+    )  # fmt: skip
+
+
+def set_foot(
+    p: ModuleType, where: dict[str, int], body: int, link: int, mass: float, mu: float, sink: float
+) -> None:
+    """Let a link carry the weight of a mass (kg) where it has sunk in by `sink` (m), with friction `mu`."""
+    stiffness = mass * 9.81 / sink
+    p.changeDynamics(
+        body, link, lateralFriction=mu, contactStiffness=stiffness,
+        contactDamping=2 * np.sqrt(stiffness * mass), **where,
     )  # fmt: skip
 
 

@@ -13,9 +13,7 @@ from pathlib import Path
 from slipmap.diagrams.perception.system_libraries import IMPORTS, RENDER, RENDERING_PACKAGES, package_for
 
 LEAST_PYTHON = (3, 11)
-LEAST_DISK = 1.0
-"""Least free disk space, GB; compiled kernels take some MB, a recorded run up to 100."""
-
+LEAST_DISK = 1.0  # least free disk space, GB; compiled kernels take some MB, a recorded run up to 100
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox")
 PATIENCE = 120.0  # s for one check; the slowest, importing all of Drake, takes some seconds
 

@@ -28,11 +28,8 @@ Format = Literal["sdf", "urdf", "mjcf"]
 _ENDINGS: dict[str, str] = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 _FOOT = 1e-3  # m, radius of a foot and gap below the outline
 _HALVINGS = 5  # of the object, to 32 parts of equal mass
-DEFAULT_HEIGHT = 0.02
-"""Height of an object where it is not known, m."""
-
-LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0
-"""Limits of the height, m; an object stands on feet of 1 mm."""
+DEFAULT_HEIGHT = 0.02  # height of an object where it is not known, m
+LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0  # limits of the height, m; an object stands on feet of 1 mm
 
 LOST = (
     f"details of the maps within the {2**_HALVINGS} parts of equal mass, each of which one foot represents",

@@ -19,9 +19,7 @@ import click
 
 from slipmap.models.files import BadInput
 
-WIDTH = 80
-"""Columns of output that does not go to a terminal."""
-
+WIDTH = 80  # columns of output that does not go to a terminal
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _WIDEST = 100  # columns, largest width of a table
 _GAP = 3  # characters between the columns of a table

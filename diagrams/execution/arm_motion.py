@@ -35,9 +35,7 @@ WORKING_POSTURE = np.array([1.4, -0.8, -1.07, -1.38, 0.0, 1.41, -0.93])
 elbow is to one side, at a height of at least 0.3 m; with the elbow above the hand, joint 6 would often be at
 its limit."""
 
-LIMIT_MARGIN = np.deg2rad(3.0)
-"""Distance that the joints keep from their limits, rad."""
-
+LIMIT_MARGIN = np.deg2rad(3.0)  # distance that the joints keep from their limits, rad
 _TOLERANCE = 1e-6  # m, of the finger's position, and over the finger's length also of its direction
 _SWIVELS = np.array(
     [

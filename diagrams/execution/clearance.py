@@ -20,9 +20,7 @@ from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.table_push import TablePush
 
-APART = 0.005
-"""Distance that the arm keeps from table and object, except for the finger while it is low, m."""
-
+APART = 0.005  # distance that the arm keeps from table and object, except for the finger while it is low, m
 _BALLS_APART = 0.5  # spacing along a shape, in its radii
 _FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # links that hand and forearm could hit
 _NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those

@@ -30,12 +30,10 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS, GRIP_FORCE, POSITION_LIMITS
 from slipmap.planners.table_push import TablePush
 
-CLEAR = 0.01
-"""Distance that the arm keeps from everything on its way to the object, m."""
+CLEAR = 0.01  # distance that the arm keeps from everything on its way to the object, m
 CLOSE = 0.003
 """Distance that the open gripper keeps from the table, and the arm from the object, during a grasp, m."""
-LIFT = 0.10
-"""Height to which the object is lifted, m."""
+LIFT = 0.10  # height to which the object is lifted, m
 
 ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
 """(7,) rad; scaled by one of `_ARCHES` and added half-way to or from a push, it raises the finger."""

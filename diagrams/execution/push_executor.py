@@ -25,17 +25,10 @@ from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
-PERIOD = 0.02
-"""s between two checks of the inputs."""
-
-CLOSED = 0.005
-"""Largest opening at which the gripper counts as one round finger, m."""
-
-TIMES = 3
-"""Consecutive pictures that must show that the object was moved."""
-
-MOVED, TURNED = 0.01, 0.15
-"""m and rad by which the object must have moved; the tracker's errors are smaller."""
+PERIOD = 0.02  # s between two checks of the inputs
+CLOSED = 0.005  # largest opening at which the gripper counts as one round finger, m
+TIMES = 3  # consecutive pictures that must show that the object was moved
+MOVED, TURNED = 0.01, 0.15  # m and rad by which the object must have moved; the tracker's errors are smaller
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,7 @@ from slipmap.diagrams.hardware.network import ARM_PERIOD, IIWA_COMMAND, open_lcm
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ACCELERATION_LIMITS
 
-DELAY = 0.04
-"""Time between making and sending a command, s; the diagram may be late by less without effect."""
-
+DELAY = 0.04  # time between making and sending a command, s; the diagram may be late by less without effect
 _BRAKING = 0.05  # s; longest time in which the arm comes to rest on its path when it must stop
 _SOONEST = 2 * ARM_PERIOD
 _SOON = 4 * ARM_PERIOD  # s; braking from a push takes this long within the data sheet's limits

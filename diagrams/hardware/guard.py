@@ -19,8 +19,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.models.settings import CheckedSettings, within
 
-PERIOD = 0.005
-"""s between two commands."""
+PERIOD = 0.005  # s between two commands
 
 # A measured angle that changes faster than this multiple of the joint's largest speed, and by more than this
 # (rad), is wrong.

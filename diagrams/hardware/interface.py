@@ -26,11 +26,8 @@ from slipmap.diagrams.station.arm import IIWA_OUTPUTS, lone_arm
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
-PATIENCE = 10.0
-"""Time that the cell has to send its first messages, s."""
-
-OWN = ("health", "iiwa.silence", "abort")
-"""Ports that only a real cell has."""
+PATIENCE = 10.0  # time that the cell has to send its first messages, s
+OWN = ("health", "iiwa.silence", "abort")  # ports that only a real cell has
 
 
 class HeardCell(PythonDiagram):

@@ -26,12 +26,8 @@ from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.network import HardwareError, open_lcm
 from slipmap.models.files import BadInput
 
-LARGEST = 40_000_000
-"""Largest message, bytes; compressed pictures have at most 4096 by 4096 pixels."""
-
-TICK = "slipmap.tick"
-"""Channel of empty events every 0.5 s, which wake the reader when no messages come."""
-
+LARGEST = 40_000_000  # largest message, bytes; compressed pictures have at most 4096 by 4096 pixels
+TICK = "slipmap.tick"  # channel of empty events every 0.5 s, which wake the reader when no messages come
 _TICKS = 0.5  # s between two of them
 _LOOK_EVERY = 3e-4  # s
 _WAITING = 400_000_000  # bytes that may wait for a busy reader; more are dropped, as the event numbers show

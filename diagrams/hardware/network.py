@@ -16,9 +16,7 @@ from slipmap.models.files import BadInput
 if TYPE_CHECKING:
     from pydrake.lcm import DrakeLcm
 
-LCM_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""LCM's default address; with ttl=0 nothing leaves this computer."""
-
+LCM_URL = "udpm://239.255.76.67:7667?ttl=0"  # LCM's default address; with ttl=0 nothing leaves this computer
 IIWA_STATUS, IIWA_COMMAND = "IIWA_STATUS", "IIWA_COMMAND"
 GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
 CAMERA_DEPTH, CAMERA_COLOR, CAMERA_POSE = "CAMERA_DEPTH", "CAMERA_COLOR", "CAMERA_POSE"
@@ -26,19 +24,11 @@ ABORT = "ABORT"
 
 ARM = (IIWA_STATUS, GRIPPER_STATUS)
 CAMERA = (CAMERA_DEPTH, CAMERA_POSE, CAMERA_COLOR)
-NEEDED = (*ARM, CAMERA_DEPTH, CAMERA_POSE)
-"""Required channels."""
-
-ARM_PERIOD = 0.005
-"""s between two messages of the arm, in both directions."""
-GRIPPER_PERIOD = 0.05
-"""s between two messages of the gripper, in both directions."""
-COLOR_PERIOD = 1.0
-"""s between two colour pictures, which only people look at."""
-
-LOOK_EVERY = 1e-3
-"""s between two checks for new messages."""
-
+NEEDED = (*ARM, CAMERA_DEPTH, CAMERA_POSE)  # required channels
+ARM_PERIOD = 0.005  # s between two messages of the arm, in both directions
+GRIPPER_PERIOD = 0.05  # s between two messages of the gripper, in both directions
+COLOR_PERIOD = 1.0  # s between two colour pictures, which only people look at
+LOOK_EVERY = 1e-3  # s between two checks for new messages
 _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
 _BUFFER = 4_194_304  # bytes of the socket's buffer; a picture comes in several packets at once
 

@@ -51,9 +51,7 @@ from slipmap.diagrams.systems.python_system import (
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
-LATE = 0.1
-"""s by which the twin may be late before it stops trying to catch up: a real arm would not hurry."""
-
+LATE = 0.1  # s by which the twin may be late before it stops trying to catch up: a real arm would not hurry
 _REPORT_EVERY = 10.0  # s
 _PLAYED_LATER = 0.015  # s; messages do not arrive quite evenly
 
@@ -280,13 +278,9 @@ def dropped_words(report: TwinReport) -> str:
 
 
 def run_twin(
-    scenario: Scenario,
-    url: str,
-    report: Callable[[TwinReport], None] = lambda report: None,
-    *,
-    until: float = float("inf"),
+    scenario: Scenario, url: str, report: Callable[[TwinReport], None] = lambda report: None
 ) -> TwinReport:
-    """Run the twin until Ctrl-C or for some time, and report its status.
+    """Run the twin until Ctrl-C, and report its status.
 
     Run it in a separate process, which gets real-time priority if the system allows it, because a cell does
     not wait for its driver.
@@ -294,7 +288,6 @@ def run_twin(
     Args:
         url: see `network.open_lcm`.
         report: called at the start and every 10 s.
-        until: simulated time at which to end, s.
 
     Raises:
         HardwareError: see `network.open_lcm`.
@@ -304,11 +297,11 @@ def run_twin(
     twin = CellTwin(scenario, lcm, camera=False)
     with closing(TwinCamera(scenario, url)) as camera:
         have_priority()
-        return _run(twin, camera, 1.0 / scenario.camera.rate, report, until)
+        return _run(twin, camera, 1.0 / scenario.camera.rate, report)
 
 
 def _run(
-    twin: CellTwin, camera: TwinCamera, period: float, report: Callable[[TwinReport], None], until: float
+    twin: CellTwin, camera: TwinCamera, period: float, report: Callable[[TwinReport], None]
 ) -> TwinReport:
     simulator = Simulator(twin)
     take_fixed_steps(simulator)
@@ -353,5 +346,5 @@ def _run(
     simulator.set_monitor(monitor)
     report(last)
     with suppress(KeyboardInterrupt):
-        simulator.AdvanceTo(until)
+        simulator.AdvanceTo(float("inf"))
     return reported(time.monotonic())

@@ -32,13 +32,13 @@ from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.identification import learning
 from slipmap.diagrams.systems.loop_messages import CHOOSING, LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
+from slipmap.models.geometry import turn
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.seen_object import angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, silent
-from slipmap.planners.exploration import turn
 
 _LONGEST = 60.0  # s of simulated time per push, in addition to moving, after which the loop is given up
 _LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take time
@@ -59,8 +59,7 @@ DOING = {
 }
 
 
-ROUND = "the object looks round, so its angle is held fixed"
-"""Remark on an object whose angle cannot be seen."""
+ROUND = "the object looks round, so its angle is held fixed"  # remark on an object whose angle cannot be seen
 
 
 class ExplorationFailed(RuntimeError):

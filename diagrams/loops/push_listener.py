@@ -32,11 +32,8 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.writing import PushRecorder
 from slipmap.models.perception.seen_object import ObservedPose
 
-HEARD = (*ARM, *CAMERA)
-"""Channels from which pushes are detected."""
-
-EVERY = 4
-"""Every 4th push is held out for judging; the others are for learning."""
+HEARD = (*ARM, *CAMERA)  # channels from which pushes are detected
+EVERY = 4  # every 4th push is held out for judging; the others are for learning
 
 # Most that the clock advances between two messages of the arm, s: what precedes a longer silence is unrelated
 # to what follows it.

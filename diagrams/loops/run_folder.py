@@ -32,12 +32,8 @@ from slipmap.planners.table_push import TablePush
 
 RUN, PUSHES, UNDER_WAY = "run.json", "pushes", "under_way.json"
 SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
-FORMAT = "slipmap-exploration/1"
-"""Format of the `run.json` of `slipmap explore`."""
-
-PREGRASP = "slipmap-pregrasp/1"
-"""Format of the `run.json` of `slipmap pregrasp`."""
-
+FORMAT = "slipmap-exploration/1"  # format of the `run.json` of `slipmap explore`
+PREGRASP = "slipmap-pregrasp/1"  # format of the `run.json` of `slipmap pregrasp`
 _NOTED = 20  # new rows of a push under way after which they are written, at 100 per second
 
 

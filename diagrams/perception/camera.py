@@ -25,8 +25,7 @@ from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import PinholeCamera
 from slipmap.models.settings import CheckedSettings, within
 
-NEAREST, FARTHEST = 0.2, 4.0
-"""Range of depth readings, m."""
+NEAREST, FARTHEST = 0.2, 4.0  # range of depth readings, m
 
 
 @dataclass

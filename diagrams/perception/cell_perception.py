@@ -30,13 +30,9 @@ from slipmap.models.perception.pose_tracking import load_kernels, track
 from slipmap.models.perception.seen_object import ObservedPose, Reason, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 
-FRAMES = 15
-"""Pictures of the object at rest in the first look; an odd number keeps its edges sharp."""
-
+FRAMES = 15  # pictures of the object at rest in the first look; an odd number keeps its edges sharp
 _KNOWN_AFTER = 0.5  # of the time between two pictures, allowed for processing one
-OLD = 3
-"""Missing pictures after which the last one is too old."""
-
+OLD = 3  # missing pictures after which the last one is too old
 _NO_JOB: tuple[Any, tuple[DepthImage, ...]] = (None, ())  # and pictures that were not sent with it
 _STILL = np.array([1e-3, 1e-3, np.deg2rad(0.5)])  # m, m, rad between two pictures of an object at rest
 _TRIED_EVERY = 5  # pictures; this many of the first and of the last are compared

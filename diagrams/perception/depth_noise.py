@@ -180,7 +180,8 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
 
     Pixels without a reading are 0; those beyond the camera's range stay infinite, as in Drake.
     """
-    depth = np.ascontiguousarray(depth, dtype=np.float32)
+    depth = np.ascontiguousarray(depth, dtype=np.float32).view()
+    depth.flags.writeable = False  # as pictures of Drake are: one type for the compiler
     seed = generator.integers(0, 2**64, dtype=np.uint64)
     # A mean over a window of uniform numbers is nearly normal; for a small window, each number is a sum.
     terms = 1 if config.correlation >= 1 else 12

@@ -41,9 +41,7 @@ from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)
-"""Kinds of shapes; see `draw_solids` for their dimensions."""
-
+BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)  # kinds of shapes; see `draw_solids` for their dimensions
 _NEAR = 0.01  # m; nothing is drawn closer than this to the camera's plane
 
 _compiled = compiled(LONE_FOLDER)

@@ -30,11 +30,8 @@ HOME = np.array([0.69, -1.06, -1.07, -1.38, 0.0, 1.41, -0.93])
 above the table's centre sees the whole table within 0.49 m past the arm, and no part of the arm is that
 high."""
 
-STIFFNESS = np.full(7, 8000.0)
-"""(7,) gains of the simulated joint control, 1/s²."""
-
-STAND_RADIUS = 0.07
-"""Radius of the column that carries the arm, m."""
+STIFFNESS = np.full(7, 8000.0)  # (7,) gains of the simulated joint control, 1/s²
+STAND_RADIUS = 0.07  # radius of the column that carries the arm, m
 
 IIWA_OUTPUTS = ("position_commanded", "position_measured", "velocity_estimated", "torque_external")
 """Outputs of the arm's joints; the ports of a cell are named `iiwa.` plus one of these."""

@@ -21,9 +21,7 @@ from slipmap.models.perception.pinhole_camera import LEAST_SHARE, NARROWEST, Vie
 if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
 
-LONGEST_LOOK = 60.0
-"""Longest time that the pictures of the first look may take, s."""
-
+LONGEST_LOOK = 60.0  # longest time that the pictures of the first look may take, s
 _STRONGEST = 137.0  # N; the arm's payload, 14 kg
 # Blocks, sheets and cans are found in all pictures with noise of 1.6 mm and 0.4 pixels, in two of three with
 # 2.2 mm or 1 pixel, in none with 3.2 mm or 2 pixels; at a size of 67 pixels in one of ten, of 30 in none.

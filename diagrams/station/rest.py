@@ -20,8 +20,7 @@ from slipmap.diagrams.station.sliding_object import BODY, STICTION
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
 
-PERIOD = 0.02
-"""s between two checks of the object and the arm."""
+PERIOD = 0.02  # s between two checks of the object and the arm
 
 QUIET = 0.2
 """s for which an object must lie still before it is locked; one that starts to tip is faster by then."""

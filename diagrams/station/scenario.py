@@ -42,9 +42,7 @@ from slipmap.models.objects.true_object import (
 )
 from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings, RepairSettings
 
-LARGEST = 2**16
-"""Largest size of a scenario file, bytes; one with every setting has 5 kB."""
-
+LARGEST = 2**16  # largest size of a scenario file, bytes; one with every setting has 5 kB
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
 

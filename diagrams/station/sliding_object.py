@@ -17,21 +17,12 @@ from slipmap.models.objects.meshes import shaded_obj
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
-GRAVITY = 9.81
-"""Default gravity, m/s²."""
-BODY = "object"
-"""Name of the body and of the model instance's only link."""
-DISC = "disc"
-"""Name of the body with the surface of a round table that feet touch; see `add_table`."""
-FINGER_FRICTION = 0.3
-"""Friction coefficient of the finger's own geometry, as in its model file."""
-
-STICTION = 1e-4
-"""Speed below which friction lets an object creep, m/s."""
-
-SINK = 2e-5
-"""Depth to which every foot sinks in under the load of its cell, m."""
-
+GRAVITY = 9.81  # default gravity, m/s²
+BODY = "object"  # name of the body and of the model instance's only link
+DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
+FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
+STICTION = 1e-4  # speed below which friction lets an object creep, m/s
+SINK = 2e-5  # depth to which every foot sinks in under the load of its cell, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _CLEARANCE = 1e-4  # m; between the table and the blocks, which the finger and the table's edge touch
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object

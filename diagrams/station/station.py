@@ -30,8 +30,7 @@ from slipmap.diagrams.station.sliding_object import (
 from slipmap.diagrams.station.table import add_table
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
-TRUTH = "truth."
-"""Prefix of the ports that only a simulation has."""
+TRUTH = "truth."  # prefix of the ports that only a simulation has
 
 
 class Station(PythonDiagram):

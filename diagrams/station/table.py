@@ -9,15 +9,10 @@ from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
 from slipmap.diagrams.station.sliding_object import DISC, table_contact
 from slipmap.models.measurements.push_dataset import Table
 
-HEIGHT = 0.72
-"""Height of the table top above the floor, m."""
-TABLE_FRICTION = 0.6
-"""Friction coefficient of the table's own geometry."""
-THICKNESS = 0.03
-"""Thickness of the table top, m."""
-ROUND_TABLE = Table("round", (0.0, 0.0), radius=0.5)
-"""The table of the paper's experiments."""
-
+HEIGHT = 0.72  # height of the table top above the floor, m
+TABLE_FRICTION = 0.6  # friction coefficient of the table's own geometry
+THICKNESS = 0.03  # thickness of the table top, m
+ROUND_TABLE = Table("round", (0.0, 0.0), radius=0.5)  # the table of the paper's experiments
 _SIDES = 360  # of the prism that represents a round top
 _COVER = 0.002  # m; upper layer of the top
 _FLOOR = (8.0, 8.0, 0.2)  # m

@@ -31,9 +31,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
-MAGNIFIED = 5.0
-"""Length of a residual arrow as a multiple of the residual."""
-
+MAGNIFIED = 5.0  # length of a residual arrow as a multiple of the residual
 BLACK, ORANGE, RED, BLUE = (0.08, 0.08, 0.08), (0.93, 0.45, 0.08), (0.80, 0.10, 0.15), (0.12, 0.44, 0.71)
 
 KEY = (
@@ -44,12 +42,8 @@ KEY = (
 )
 """Meaning of the colours over the object."""
 
-BOARD = (0.60, 0.42)
-"""Size of the legend, m."""
-
-NOTICE = (0.60, 0.10)
-"""Size of the notice above it, m."""
-
+BOARD = (0.60, 0.42)  # size of the legend, m
+NOTICE = (0.60, 0.10)  # size of the notice above it, m
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 
@@ -180,8 +174,7 @@ def _png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-MOST = 12
-"""Hypotheses that can be viewed one by one; the mean includes all of them."""
+MOST = 12  # hypotheses that can be viewed one by one; the mean includes all of them
 
 _DID = {
     "adopts": "added to the model",
@@ -195,19 +188,13 @@ _DID = {
 _LINE = 60  # characters per line of the notice
 
 _ARROWS = 8  # residual arrows, on cells spread over the object
-
-LEAST_RESIDUAL = 3e-4
-"""Shorter residuals are not drawn, m."""
-
-CLEARANCE = 2e-3
-"""Gap between the object's highest cell and the tiles, m."""
+LEAST_RESIDUAL = 3e-4  # shorter residuals are not drawn, m
+CLEARANCE = 2e-3  # gap between the object's highest cell and the tiles, m
 
 VIEW = ((0.56, -0.56, 0.56), (0.07, 0.07, 0.12))
 """Camera position and target that show the whole table and board from close by, m."""
 
-BOARD_PLACE = (0.34, 0.55, 0.41)
-"""Centre of the board, beside the table and behind it as seen from `VIEW`, m."""
-
+BOARD_PLACE = (0.34, 0.55, 0.41)  # centre of the board, beside the table and behind it as seen from `VIEW`, m
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
 

@@ -25,8 +25,7 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Smoothing
 from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
 
-MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
-"""Indices of the numeric parameters in the Context."""
+MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)  # indices of the numeric parameters in the Context
 
 
 def history_length(stepper: Stepper) -> int:

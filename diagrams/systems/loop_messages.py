@@ -23,8 +23,7 @@ class LoopStatus:
         return MOST_ATTEMPTS * self.push + self.attempt
 
 
-MOST_ATTEMPTS = 20
-"""Candidates for one push before the loop gives up."""
+MOST_ATTEMPTS = 20  # candidates for one push before the loop gives up
 
 EXPLORING = (
     "looking",
@@ -40,8 +39,7 @@ EXPLORING = (
 """Modes of exploration. If the model is repaired during the run, `diagnosing` is one of them, and `telling
 apart` replaces `choosing` when the next push should discriminate between the models that a diagnosis left."""
 
-CHOOSING = ("choosing", "telling apart")
-"""Modes in which a push is chosen."""
+CHOOSING = ("choosing", "telling apart")  # modes in which a push is chosen
 
 BRINGING = (
     "planning",

@@ -23,12 +23,8 @@ from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import CellGrid
 
-PERIOD = 0.01
-"""s between two rows of tip and force."""
-
-LOOKS = 6
-"""Number of poses at rest that are averaged for the start of a trial, and again for its end."""
-
+PERIOD = 0.01  # s between two rows of tip and force
+LOOKS = 6  # number of poses at rest that are averaged for the start of a trial, and again for its end
 _RESTED = 0.15  # s before the arm lifts the finger; from then on the object certainly rests
 
 MISPLACED, TURNED = 4e-3, 0.05

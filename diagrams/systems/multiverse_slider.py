@@ -87,18 +87,16 @@ class MultiverseSlider(PythonSystem):
 
     Args:
         h: step, s.
-        belief: initial belief, placed at the origin; None waits for the first push.
     """
 
-    def __init__(self, h: float, belief: Belief | None = None) -> None:
+    def __init__(self, h: float) -> None:
         super().__init__()
         self.set_name("multiverse_slider")
         self._h = h
         self.DeclareVectorInputPort("wrench", 5)
         self.DeclareVectorInputPort("finger", 4)
         self.declare_inputs("belief", "object_pose", "push")
-        first = None if belief is None else placed(belief, h, np.zeros(3))
-        self._universes = self.DeclareAbstractState(held(first))
+        self._universes = self.DeclareAbstractState(held(None))
         after = {self.abstract_state_ticket(self._universes)}
         self.declare_output_of(
             "poses", self._universes, lambda now: np.zeros((0, 3)) if now is None else now.poses

@@ -23,12 +23,8 @@ TOUCH = 0.005
 MOVED, TURNED = 0.002, 0.02
 """m and rad by which the object must have moved; two looks at an object at rest may differ by less."""
 
-GAP = 0.1
-"""s without a message from the arm after which the finger's motion counts as unknown."""
-
-LONGEST = 60.0
-"""s that the finger may stay down for a push."""
-
+GAP = 0.1  # s without a message from the arm after which the finger's motion counts as unknown
+LONGEST = 60.0  # s that the finger may stay down for a push
 _UNSEEN = "the object was not seen at rest afterwards"
 
 

@@ -17,18 +17,14 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held, read, rep
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.robots import FINGER_RADIUS
 
-PERIOD = 0.05
-"""s between two decisions."""
-
-PATIENCE = 20.0
-"""s that the object may stay out of sight before the loop gives up."""
+PERIOD = 0.05  # s between two decisions
+PATIENCE = 20.0  # s that the object may stay out of sight before the loop gives up
 
 PATIENCE_REAL = 100.0
 """The same when another process handles the pictures, which may be late on a busy computer, s."""
 
 
-MOST_MISSED = 3
-"""Candidates for one push that may miss the object before the loop gives up."""
+MOST_MISSED = 3  # candidates for one push that may miss the object before the loop gives up
 
 
 class PushSupervisor(PythonSystem):
@@ -168,9 +164,7 @@ def _unrecorded(pose: ObservedPose | None) -> str:
     return f"the object was not seen after the push; {_unseen(pose)}"
 
 
-HOLD = 1.0
-"""s that the object stays in the air before it counts as held."""
-
+HOLD = 1.0  # s that the object stays in the air before it counts as held
 _HELD_LESS = 0.5  # share of the height by which the pins may be closer together while they hold
 _HELD_MORE = 0.01  # m by which they may be further apart than that height; the camera's error is smaller
 

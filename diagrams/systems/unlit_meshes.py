@@ -17,9 +17,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 _FLOAT, _INDEX = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _THICKNESS = 2e-3  # m, of tiles
-
-Triangles = tuple[FloatArray, NDArray[np.uint32]]
-"""Vertices (v, 3) in m and triangles (t, 3)."""
+Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (v, 3) in m and triangles (t, 3)
 
 
 def unlit_mesh(

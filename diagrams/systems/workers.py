@@ -14,10 +14,7 @@ from slipmap.models.process_end import prepare_worker
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
-
-COUNT = 2
-"""Processes: one for pictures, one for learning or planning."""
-
+COUNT = 2  # processes: one for pictures, one for learning or planning
 _NICER = 5  # niceness added to workers, as commands to the arm come first
 _HAND_OVER = 1e-3  # s after which a thread yields to another
 

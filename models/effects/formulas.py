@@ -198,8 +198,7 @@ def derivative(expression: Any, symbol: sp.Symbol) -> Any:
     return result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs) else result
 
 
-Targets = Sequence[tuple[str, Any]]
-"""Left sides of assignments, and the expressions assigned to them."""
+Targets = Sequence[tuple[str, Any]]  # left sides of assignments, and the expressions assigned to them
 
 
 def _slopes(place: str, expressions: Sequence[Any], symbols: Sequence[Any]) -> list[tuple[str, Any]]:

@@ -31,12 +31,8 @@ PUSH_SYMBOLS = ("push_x", "push_y")
 """Names of the symbols of the finger's true force, which the sensor may misreport."""
 INERTIA_NAMES = ("m", "s_x", "s_y", "J")
 CONSTANT_NAMES = ("time", "h", "order", "gravity", "width", "c_x", "c_y", "g_xx", "g_xy", "g_yy", "n")
-
-AFTER_SYMBOLS = tuple(f"after_{k}" for k in range(8))
-"""Names of the symbols of `after_names`."""
-
-REST_SPEED = 1e-4
-"""Speeds are smoothed below this, m/s."""
+AFTER_SYMBOLS = tuple(f"after_{k}" for k in range(8))  # names of the symbols of `after_names`
+REST_SPEED = 1e-4  # speeds are smoothed below this, m/s
 
 
 class Names:

@@ -128,8 +128,7 @@ _WHOLES = {
     "snack": _Whole(0.4, 44, 0.40),
     "spray_gun": _Whole(0.9, 50, 0.30),
 }
-BENCHMARK_OBJECTS = tuple(_WHOLES)
-"""Names of the paper's objects."""
+BENCHMARK_OBJECTS = tuple(_WHOLES)  # names of the paper's objects
 
 
 def benchmark_object(name: str) -> TrueObject:
@@ -187,8 +186,7 @@ def _placed(outline: BaseGeometry, origin: FloatArray) -> Polygon:
 
 HEAD = (0.1, 0.0375, 0.025)
 """Head of the demonstration's hammer: length across the handle, width along it, height, m."""
-HANDLE = (0.025, 0.225, 0.02)
-"""Handle of the demonstration's hammer: width, length, height, m."""
+HANDLE = (0.025, 0.225, 0.02)  # handle of the demonstration's hammer: width, length, height, m
 _STEEL_DENSITY, _BEECH_DENSITY = 7850.0, 700.0  # kg/m³
 
 

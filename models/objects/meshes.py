@@ -25,11 +25,8 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 LARGEST_EXTENT = 5.0
 """A footprint wider than this (m) is refused: the mesh is probably in millimetres or inches."""
 
-SMALLEST_EXTENT = 1e-3
-"""A footprint narrower than this (m) is refused: its unit is probably wrong too."""
-
-DOUBTFUL_EXTENT = 1.0
-"""A footprint wider than this (m) raises doubt about the unit."""
+SMALLEST_EXTENT = 1e-3  # a footprint narrower than this (m) is refused: its unit is probably wrong too
+DOUBTFUL_EXTENT = 1.0  # a footprint wider than this (m) raises doubt about the unit
 
 DIRECTIONS = {
     f"{sign}{axis}": tuple(float(f"{sign}{int(axis == other)}") for other in "xyz")

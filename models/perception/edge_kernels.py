@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-SPACING = 1e-3
-"""Distance between the points of a relief, m."""
-
-SMOOTHING = 1.0
-"""Standard deviation of the Gaussian that averages heights in a picture, pixels."""
-
+SPACING = 1e-3  # distance between the points of a relief, m
+SMOOTHING = 1.0  # standard deviation of the Gaussian that averages heights in a picture, pixels
 _FAR_AWAY = 1e6  # points of a map; only a nearly level ray goes farther
 _LEVEL = 2e-3  # m between the heights at which a ray is compared with the relief
 _STEP = 0.5  # pixels between readings along a normal

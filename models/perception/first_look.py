@@ -43,9 +43,7 @@ _OUTLINE_POINTS = 300
 _INNER_POINTS = 400
 _INSET = 0.006  # m between inner points and the outline, less for narrow objects
 _RIM = 1.5e-3  # m
-ARM_NEAR = 6
-"""Pixels between object and arm below which the first look waits."""
-
+ARM_NEAR = 6  # pixels between object and arm below which the first look waits
 _REACHES = (4.0, *(3.0,) * 6)  # pixels
 _LARGEST_FILE = 2**29  # bytes, unpacked; pictures are at most 4096 by 4096
 

@@ -26,8 +26,7 @@ Mask = NDArray[np.bool_]
 _LOWEST = -0.005  # m; lower readings, beside the table, are raised to this: the floor's depth does not matter
 _HIGHEST = 0.3  # m; no object on the table is higher
 _LEAST_WEIGHT = 0.3  # share of a smoothed pixel's neighbourhood that must have readings
-LEAST_AREA = 4e-4
-"""An object must cover more of the table than this, m²."""
+LEAST_AREA = 4e-4  # an object must cover more of the table than this, m²
 LEAST_HEIGHT = 4e-3
 """An object must be higher than this, m, and than 4 standard deviations of the table's heights."""
 _FAINT, _CLEAR = 2.0, 4.0  # in standard deviations of the table's heights
@@ -196,10 +195,7 @@ def between(mask, missing):  # type: ignore[no-untyped-def]
 
 
 Fault = Literal["", "no picture", "old picture", "torn picture", "corrupt picture"]
-
-REMEMBERED = 4
-"""Number of earlier pictures with whose rows those of a new one are compared."""
-
+REMEMBERED = 4  # number of earlier pictures with whose rows those of a new one are compared
 _SPAN = (0.05, 20.0)  # m; finite readings outside are invalid
 _USABLE = 30  # readings that make a row worth comparing
 _TORN = 0.02  # share of the rows

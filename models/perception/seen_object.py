@@ -58,10 +58,7 @@ _STRAIGHT = 0.15  # pixels; corners that deviate less from the outline are dropp
 _NEIGHBOURS = 4  # readings whose median is a height
 _FOR_PLANE = 12  # readings to which a plane is fitted at the rim
 _WALL, _STEEP = 2.0, 6.0  # a reading lower than a neighbour by more (pixels, slope) is not on the top
-
-UNSEEN_ANGLE = 1.0
-"""Standard deviation of the angle of an object whose angle cannot be seen, rad."""
-
+UNSEEN_ANGLE = 1.0  # standard deviation of the angle of an object whose angle cannot be seen, rad
 Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from slipmap.models.effects.registry import effects_named
@@ -24,6 +26,7 @@ DRAG = 3000.0
 """Of a film of oil, N s/m³: at 50 mm/s a quarter of the friction."""
 
 
+@cache
 def tilted_pushes() -> PushDataset:
     """Pushes on a table that is not level."""
     return _pushes("tilted", {"table_tilt": list(TILT.values())})

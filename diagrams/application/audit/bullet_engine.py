@@ -8,7 +8,7 @@ import numpy as np
 import pybullet as p
 
 from slipmap.diagrams.application.audit.engine import AWAY, EngineScene
-from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
+from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails, set_foot
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 2e-3  # m, radius
@@ -104,11 +104,7 @@ class BulletEngine:
             localInertiaDiagonal=[*inertia, scene.moment_of_inertia], **where,
         )  # fmt: skip
         for link, (mass, mu) in enumerate(zip(scene.mass, scene.mu, strict=True)):
-            stiffness = mass * 9.81 / _SINK
-            p.changeDynamics(
-                body, link, lateralFriction=mu, contactStiffness=stiffness,
-                contactDamping=2 * np.sqrt(stiffness * mass), **where,
-            )  # fmt: skip
+            set_foot(p, where, body, link, mass, mu, _SINK)
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
         for link in range(n, count):
             # Prisms near the finger count only once they touch it.

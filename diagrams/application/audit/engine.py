@@ -21,12 +21,8 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.stepper import Stepper
 
-AWAY = np.array([8.0, 8.0])
-"""Finger position where it must not touch, m."""
-
-SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02
-"""s"""
-
+AWAY = np.array([8.0, 8.0])  # finger position where it must not touch, m
+SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02  # s
 GRAVITY = 9.81
 LEVEL = np.array([0.0, 0.0, -GRAVITY])
 REST = np.zeros(3)

@@ -29,30 +29,22 @@ from slipmap.models.files import BadInput
 from slipmap.models.geometry import cross, rotated
 from slipmap.models.physics.cell_grid import FloatArray
 
-DIRECTIONS = np.arange(24) * np.pi / 12
-"""(24,) directions of the free slides, rad."""
-STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])
-"""Speeds of the steady slides along x, m/s."""
-SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()
-"""Initial rates of the spins in place, rad/s."""
-CREEP_LOAD = 0.6
-"""Load as a share of what friction can hold."""
-
+DIRECTIONS = np.arange(24) * np.pi / 12  # (24,) directions of the free slides, rad
+STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # speeds of the steady slides along x, m/s
+SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()  # initial rates of the spins in place, rad/s
+CREEP_LOAD = 0.6  # load as a share of what friction can hold
 _SLIDE_SPEEDS = np.array([0.2, 0.3, 0.45])  # m/s
 _STEPS = 40  # fewest time steps until a free slide stops
 _FINE = 4  # steps of a point per step of the engine
 _EARLY = (0.05, 0.45)  # evaluated share of the time until it stops, in which the direction changes little
-LATE = (0.1, 0.75)
-"""Evaluated share of the time until a spin stops."""
+LATE = (0.1, 0.75)  # evaluated share of the time until a spin stops
 _SETTLED, _STEADY = 0.1, 0.3  # s for which a steady slide settles, and is then observed
 _SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, and number of steps
 _SLOW_SLIDES = np.array([0.15, 0.2, 0.25, 0.3])  # m/s of the object in the meantime
 _CREEP_DIRECTIONS = np.radians([0.0, 22.5, 45.0])
 _LAID, _CREPT = 0.25, 0.25  # s for which a loaded object settles, and is then observed
 _STEEP = 1.5  # load, as a multiple of what friction can hold, under which the object must slide
-
-Report = Callable[[int], None]
-"""Called with the number of finished probes."""
+Report = Callable[[int], None]  # called with the number of finished probes
 COUNT = 2 + len(DIRECTIONS) + len(STEADY_SPEEDS) + len(SPINS) + len(_CREEP_DIRECTIONS)
 """Number of probes of one engine at one time step."""
 

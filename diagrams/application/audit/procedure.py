@@ -22,17 +22,13 @@ from slipmap.models.physics.rollout import Push, Slider
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, candidate_pushes
 
-COUNT = 24
-"""Number of pushes."""
-
+COUNT = 24  # number of pushes
 _SEED = 34
 _LENGTH, _SPEED = (0.04, 0.09), (0.03, 0.1)  # m after first touch; m/s
 _APPROACH, _RAMP, _REST = 5e-3, 0.05, 0.1  # m; s
 _STEP = 1e-3  # s, of the model
 _LOOKS = 12  # poses per push to which effects are fitted
-
-Report = Callable[[int], None]
-"""Called with the number of finished pushes."""
+Report = Callable[[int], None]  # called with the number of finished pushes
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from scipy.optimize import brentq
 
+from slipmap.models.geometry import turn
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
@@ -76,16 +77,11 @@ def _smooth_derivatives(
     return M @ u - free + a @ Ku, M + np.tensordot(a, K, 1) - (Ku.T * (a / phi**2)) @ Ku
 
 
-def _rotation(angle: float) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
-
-
 def _moved(q: FloatArray, v: FloatArray, duration: float) -> FloatArray:
     """Pose after a motion with constant twist in the object frame, the exponential of a planar screw."""
     angle = duration * v[2]
     straight = np.sinc(angle / (2 * np.pi))  # numpy's sinc has a π in it
-    way = duration * straight * _rotation(q[2] + angle / 2) @ v[:2]
+    way = duration * straight * turn(q[2] + angle / 2) @ v[:2]
     return np.array([*(q[:2] + way), q[2] + angle])
 
 
@@ -93,7 +89,7 @@ def _free_momentum(M: FloatArray, v: FloatArray, h: float) -> FloatArray:
     """M v* without forces: in the rotated frame, the centre of mass keeps its velocity and the spin."""
     centre = np.array([M[1, 2], -M[0, 2]]) / M[0, 0]
     lever = np.array([-centre[1], centre[0]])
-    velocity = _rotation(-h * v[2]) @ (v[:2] + v[2] * lever)
+    velocity = turn(-h * v[2]) @ (v[:2] + v[2] * lever)
     return M @ np.array([*(velocity - v[2] * lever), v[2]])
 
 
@@ -105,7 +101,7 @@ def _contact(
 
     None where the finger is out of reach.
     """
-    to_object = _rotation(-q[2])
+    to_object = turn(-q[2])
     tip = to_object @ ((tip0 + tip1) / 2 - q[:2])
     finger = to_object @ ((tip1 - tip0) / h)
     ring = slider.grid.polygon.exterior

@@ -11,9 +11,7 @@ from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
-WIDTH, DEPTH = 0.20, 0.12
-"""Sides of the object, a rectangle, m."""
-
+WIDTH, DEPTH = 0.20, 0.12  # sides of the object, a rectangle, m
 MASS = 1.5
 MU_FINGER = 0.3
 GRAVITY = 9.81

@@ -27,9 +27,7 @@ from slipmap.diagrams.station.scenario import Scenario
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ROBOTS = ("adapting", "plain")
-"""How the robot runs: with or without `--adapt`."""
-
+ROBOTS = ("adapting", "plain")  # how the robot runs: with or without `--adapt`
 NOTHING = "nothing"
 
 HIDDEN: dict[str, HiddenEffectsConfig] = {
@@ -54,11 +52,8 @@ NAMES = {
 }
 """The correct effect of the library for each hidden effect."""
 
-FELL = 0.4
-"""Ratio of the error after to before at or below which another effect counts as equivalent."""
-
-NEXT = 5
-"""Number of pushes after the adoption that count."""
+FELL = 0.4  # ratio of the error after to before at or below which another effect counts as equivalent
+NEXT = 5  # number of pushes after the adoption that count
 
 
 def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:

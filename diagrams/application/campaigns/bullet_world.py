@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
+from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails, set_foot
 from slipmap.diagrams.application.campaigns.worlds import (
     AT_REST,
     LONGEST_SETTLING,
@@ -22,9 +22,7 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
-STEP = 2e-3
-"""s"""
-
+STEP = 2e-3  # s
 _SINK = 2e-4  # m; penetration of every foot under the weight of its cell
 _CLEARANCE = 4e-4  # m; between the feet's lower end and the prisms
 _FOOT_RADIUS = 2e-3  # m
@@ -37,9 +35,7 @@ _ITERATIONS = 50
 _CONTACTS = 4  # contacts that Bullet keeps between two bodies
 _APART = 0.03  # m; Bullet merges contacts closer than 20 mm
 _TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
-
-Pose = tuple[list[float], list[float]]
-"""Place, and quaternion with the real part last."""
+Pose = tuple[list[float], list[float]]  # place, and quaternion with the real part last
 
 
 class BulletWorld(DirectWorld):
@@ -167,12 +163,7 @@ class BulletWorld(DirectWorld):
             body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
         )
         for link, (first, *_) in enumerate(groups):
-            mass = thing.mass[first]
-            stiffness = mass * GRAVITY / _SINK
-            p.changeDynamics(
-                body, link, lateralFriction=thing.mu[first], contactStiffness=stiffness,
-                contactDamping=2 * np.sqrt(stiffness * mass), **where,
-            )  # fmt: skip
+            set_foot(p, where, body, link, thing.mass[first], thing.mu[first], _SINK)
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
         # The prisms hang just above the table: only real contacts count.
         for block in range(n, count):

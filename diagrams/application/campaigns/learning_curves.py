@@ -19,10 +19,8 @@ from slipmap.planners.settings import STRATEGIES, PregraspSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PUSHES = 5
-"""Most pushes to learn from, as many as in the paper."""
-CHECKS = 10
-"""Random pushes of other placements that test a belief."""
+PUSHES = 5  # most pushes to learn from, as many as in the paper
+CHECKS = 10  # random pushes of other placements that test a belief
 MODELS = ("identified", "uniform", "Algorithm 1")
 """Models compared in figure 4: the default method, its uniform object, and Algorithm 1 as printed."""
 

@@ -14,11 +14,8 @@ from slipmap.planners.settings import METHODS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ALL = "all"
-"""Row of all objects together."""
-
-Paper = Mapping[str, Mapping[str, float]]
-"""Success in % by object and method; not all need be present."""
+ALL = "all"  # row of all objects together
+Paper = Mapping[str, Mapping[str, float]]  # success in % by object and method; not all need be present
 
 
 @dataclass(frozen=True, eq=False)

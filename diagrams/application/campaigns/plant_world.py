@@ -27,9 +27,7 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
-TIME_STEP = 2e-3
-"""s"""
-
+TIME_STEP = 2e-3  # s
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two checks whether the object rests or is lost

@@ -21,13 +21,9 @@ from slipmap.planners.pregrasp import Pregrasp, bring_to_edge
 from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.settings import METHODS, PregraspSettings
 
-NEAR = 0.02
-"""Largest distance from the goal, m; with `NEAR_ANGLE` the paper's criterion of success."""
-NEAR_ANGLE = 15.0
-"""Largest angle from the goal, deg."""
-YAWS_A_BELIEF = 100
-"""Trials that share one belief: the paper identifies each object once."""
-
+NEAR = 0.02  # largest distance from the goal, m; with `NEAR_ANGLE` the paper's criterion of success
+NEAR_ANGLE = 15.0  # largest angle from the goal, deg
+YAWS_A_BELIEF = 100  # trials that share one belief: the paper identifies each object once
 FATES = ("success", "fell", "missed", "gave up")
 
 

@@ -21,12 +21,9 @@ from slipmap.planners.settings import METHODS, GoalSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_POSES = 10
-"""Poses of an object in a trial."""
-_DRAWS = 10
-"""Draws of the deterministic method from one belief."""
-_TRIES = 20_000
-"""Most poses drawn to find those at which the gripper could grasp."""
+_POSES = 10  # poses of an object in a trial
+_DRAWS = 10  # draws of the deterministic method from one belief
+_TRIES = 20_000  # most poses drawn to find those at which the gripper could grasp
 _BINS = np.array([0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0])
 """Bins of the reliability diagram; most poses are nearly certain."""
 

@@ -30,12 +30,9 @@ from slipmap.planners.robust_push import NEGLIGIBLE
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TILT = 2.0
-"""Slope of the table, deg."""
-MODELS = ("without the tilt", "with the tilt")
-"""The models compared."""
-YAWS_A_BELIEF = 5
-"""Trials that share one belief; learning takes longer than pushing."""
+TILT = 2.0  # slope of the table, deg
+MODELS = ("without the tilt", "with the tilt")  # the models compared
+YAWS_A_BELIEF = 5  # trials that share one belief; learning takes longer than pushing
 
 
 def trial(*, seed: int, object_name: str, model: str, belief_seed: int) -> dict[str, Any]:

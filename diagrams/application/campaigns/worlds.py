@@ -27,18 +27,11 @@ from slipmap.planners.push_decisions import ObjectFell, PushNotMade
 from slipmap.planners.settings import PregraspSettings
 from slipmap.planners.table_push import TablePush
 
-REST = 0.3
-"""Time that the finger rests before and after moving, s; a tapped object slides on."""
-RAMP = 0.1
-"""Time to speed up and to slow down, s."""
-PERIOD = 0.01
-"""Time between two rows of tip and force, s."""
-
-LONGEST_SETTLING = 3.0
-"""Longest wait for an object to come to rest, s."""
-AT_REST = 5e-3
-"""Speed below which an object rests, m/s and rad/s."""
-
+REST = 0.3  # time that the finger rests before and after moving, s; a tapped object slides on
+RAMP = 0.1  # time to speed up and to slow down, s
+PERIOD = 0.01  # time between two rows of tip and force, s
+LONGEST_SETTLING = 3.0  # longest wait for an object to come to rest, s
+AT_REST = 5e-3  # speed below which an object rests, m/s and rad/s
 _WORST_MISS = 2.5  # standard deviations of control noise
 _TILTED = np.cos(np.radians(10.0))  # cosine of the tilt from which an object is no longer flat on the table
 _SUNK = 5e-3  # m; depth from which it is no longer flat on the table
@@ -238,9 +231,7 @@ def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:
     return np.array([pose[0], pose[1], pose[2] + 2 * np.pi * turns])
 
 
-TRUTHS = ("plant", "bullet")
-"""Drake's MultibodyPlant, and Bullet, which needs the `bench` extra."""
-
+TRUTHS = ("plant", "bullet")  # Drake's MultibodyPlant, and Bullet, which needs the `bench` extra
 _MOST_PUSHES = 5  # for identifying an object, as in the paper
 
 

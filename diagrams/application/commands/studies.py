@@ -30,8 +30,6 @@ from slipmap.models.files import BadInput, together, write_json, write_text
 from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from slipmap.diagrams.application.campaigns.experiments import Summary
     from slipmap.diagrams.application.campaigns.trials import Backend, TrialOutcome, TrialSpec
     from slipmap.diagrams.application.studies.blind.scoring import Score

@@ -24,8 +24,7 @@ from slipmap.diagrams.systems.unlit_meshes import quads
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-MOST = 6
-"""Most hypotheses shown beside the mean, which contains all of them."""
+MOST = 6  # most hypotheses shown beside the mean, which contains all of them
 
 _NAMES = (
     ("mass", "per cell, g"),

@@ -18,8 +18,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider, Smoothing
 
-_SHARES = (0.33, 0.66, 1.0)
-"""Shares of the amplitude at which the effect is clearly visible."""
+_SHARES = (0.33, 0.66, 1.0)  # shares of the amplitude at which the effect is clearly visible
 
 _SHOWS_WELL = 0.02
 """Target distance between the object with and without the effect, m, if its bounds allow it."""

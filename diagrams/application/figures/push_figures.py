@@ -21,9 +21,7 @@ from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-MODEL_COLOURS = (BELIEF, OTHER)
-"""Colours of one model, or of two over the same pushes."""
-
+MODEL_COLOURS = (BELIEF, OTHER)  # colours of one model, or of two over the same pushes
 _PANELS_A_PAGE = 24
 _COLUMNS = 6
 _PANEL = 2.1  # inches
@@ -33,8 +31,7 @@ _OUTLINES = (
 
 _HEAD, _FOOT, _SIDE, _GAP, _TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
 _NARROWEST_PAGE = 8.4  # inches; heading and legend need as much
-_NEAR = 1.2
-"""Largest distance from the object's path at which the finger's path is drawn, in object sizes."""
+_NEAR = 1.2  # largest distance from the object's path at which the finger's path is drawn, in object sizes
 
 _MEANING_OF_ADD = (
     "ADD: mean distance between predicted and measured cells at the end; spread: of the hypotheses"

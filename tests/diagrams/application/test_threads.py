@@ -33,7 +33,7 @@ push = plan_push(
     belief, np.zeros(3), np.array([0.1, 0.05, 0.3]), table, PushSettings(), np.random.default_rng(2)
 )
 print(digest(push.predicted, push.gap, push.pushes))
-effects = effects_named(["table_tilt", "viscous_friction"])
+effects = effects_named(["table_tilt", "sensor_latency"])
 found = diagnose(dataset, effects=effects, quick=True, seed=0).to_json()
 found.pop("seconds", None)
 print(digest(json.dumps(found, sort_keys=True)))

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
+from pydrake.systems.sensors import ImageDepth32F
 
+from slipmap.diagrams.perception import depth_noise
 from slipmap.diagrams.perception.depth_noise import DepthNoise, DepthNoiseConfig, noisy_depth
 
 
@@ -78,3 +80,13 @@ def test_a_frames_noise_depends_on_its_number_alone(world):
     first, later, again = frame(1 / 15), frame(4 / 15), frame(1 / 15 + 1e-9)
     assert np.array_equal(first, again)
     assert not np.array_equal(first, later)
+
+
+def test_no_picture_waits_for_the_compiler():
+    block = DepthNoise()
+    context, picture = block.CreateDefaultContext(), ImageDepth32F(8, 4)
+    picture.mutable_data[:] = 1.0
+    block.get_input_port().FixValue(context, picture)
+    compiled = len(depth_noise._measure.signatures)
+    assert block.get_output_port().Eval(context).data.shape == (4, 8, 1)
+    assert len(depth_noise._measure.signatures) == compiled

@@ -33,7 +33,7 @@ class Learner(DrivenBlock):
 
     def _dataset(self, trials, grid):
         self.asked.append(([trial.name for trial in trials], grid))
-        return replace(DATASET, trials=tuple(trials))
+        return replace(tilted_pushes(), trials=tuple(trials))
 
     def step(self, **inputs) -> tuple[object, int]:
         self.set(**inputs)
@@ -41,16 +41,20 @@ class Learner(DrivenBlock):
         return self.read("belief"), self.read("learned")
 
 
-DATASET = tilted_pushes()
-FIT, HELDOUT = DATASET.fit_trials[:2], DATASET.heldout_trials[:1]
+def fit():
+    return tilted_pushes().fit_trials[:2]
+
+
+def heldout():
+    return tilted_pushes().heldout_trials[:1]
 
 
 @pytest.fixture(scope="module")
 def history():
     """The block's outputs as trials come in, and the block."""
     learner = Learner()
-    outputs = [learner.step(cell_grid=DATASET.grid)]
-    for trials in (FIT[:1], FIT[:1], FIT, FIT + HELDOUT):
+    outputs = [learner.step(cell_grid=tilted_pushes().grid)]
+    for trials in (fit()[:1], fit()[:1], fit(), fit() + heldout()):
         outputs.append(learner.step(trials=trials))
     return outputs, learner
 
@@ -61,21 +65,23 @@ def test_it_learns_when_a_push_to_learn_from_is_recorded(history):
     assert [count for _, count in outputs] == [0, 1, 1, 2, 2]
     beliefs = [belief for belief, _ in outputs]
     assert beliefs[1] is beliefs[2] and beliefs[3] is beliefs[4] and beliefs[1] is not beliefs[3]
-    names = [trial.name for trial in FIT]
+    names = [trial.name for trial in fit()]
     assert [asked for asked, _ in learner.asked] == [names[:1], names]
-    assert all(np.array_equal(grid.centers, DATASET.grid.centers) for _, grid in learner.asked)
+    assert all(np.array_equal(grid.centers, tilted_pushes().grid.centers) for _, grid in learner.asked)
     assert learner.told == [(beliefs[1], 1), (beliefs[3], 2)]
 
 
 def test_pushes_that_judge_do_not_teach():
     learner = Learner()
-    assert learner.step(cell_grid=DATASET.grid, trials=HELDOUT) == (None, 0)
+    assert learner.step(cell_grid=tilted_pushes().grid, trials=heldout()) == (None, 0)
     assert learner.asked == []
 
 
 def test_its_belief_is_that_of_the_command(history):
     outputs, _ = history
-    expected = identify(replace(DATASET, trials=FIT), hypotheses=K, seed=SEED, friction_laws=False).belief
+    expected = identify(
+        replace(tilted_pushes(), trials=fit()), hypotheses=K, seed=SEED, friction_laws=False
+    ).belief
     belief = outputs[-1][0]
     assert len(belief) == K
     assert np.array_equal(belief.maps.mass, expected.maps.mass)
@@ -84,11 +90,13 @@ def test_its_belief_is_that_of_the_command(history):
 
 
 def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
-    trials = DATASET.fit_trials[:6]
+    trials = tilted_pushes().fit_trials[:6]
     block = Identification(
-        lambda trials, grid: replace(DATASET, trials=tuple(trials)), effects=["table_tilt"], hypotheses=2
+        lambda trials, grid: replace(tilted_pushes(), trials=tuple(trials)),
+        effects=["table_tilt"],
+        hypotheses=2,
     )
-    learner = DrivenBlock(block, trials=trials, cell_grid=DATASET.grid)
+    learner = DrivenBlock(block, trials=trials, cell_grid=tilted_pushes().grid)
     learner.advance(0.5 * PERIOD)
     belief = learner.read("belief")
     assert [effect.name for effect in belief.effects] == ["table_tilt"]
@@ -98,12 +106,12 @@ def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
 
 def test_an_unknown_effect_is_refused_before_anything_is_pushed():
     with pytest.raises(EffectError, match="table_tilt"):
-        Identification(lambda trials, grid: DATASET, effects=["table_tlit"])
+        Identification(lambda trials, grid: tilted_pushes(), effects=["table_tlit"])
 
 
 def test_other_effects_are_learnt_with_at_once():
     learner = Learner()
-    plain, count = learner.step(cell_grid=DATASET.grid, trials=FIT, effects=())
+    plain, count = learner.step(cell_grid=tilted_pushes().grid, trials=fit(), effects=())
     assert count == 2 and not plain.slider.effects
     learner.set(effects=("table_tilt",))
     assert (learner.read("belief"), learner.read("learned")) == (plain, 0)

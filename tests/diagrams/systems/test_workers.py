@@ -21,8 +21,10 @@ from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.workers import begun, workers
 from slipmap.planners.settings import PokeSettings
 
-DATASET = tilted_pushes()
-SEEN = SimpleNamespace(grid=DATASET.grid, cell_heights=np.full(len(DATASET.grid), 0.05))
+
+def seen() -> SimpleNamespace:
+    grid = tilted_pushes().grid
+    return SimpleNamespace(grid=grid, cell_heights=np.full(len(grid), 0.05))
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +50,12 @@ def _runs(process: int) -> bool:
 
 def learner(worker) -> DrivenBlock:
     block = Identification(
-        lambda trials, grid: replace(DATASET, trials=tuple(trials)), hypotheses=4, seed=7, worker=worker
+        lambda trials, grid: replace(tilted_pushes(), trials=tuple(trials)),
+        hypotheses=4,
+        seed=7,
+        worker=worker,
     )
-    return DrivenBlock(block, trials=DATASET.fit_trials[:2], cell_grid=DATASET.grid)
+    return DrivenBlock(block, trials=tilted_pushes().fit_trials[:2], cell_grid=tilted_pushes().grid)
 
 
 def chooser(worker) -> DrivenBlock:
@@ -60,7 +65,7 @@ def chooser(worker) -> DrivenBlock:
     block = Exploration("random", 9, 0.008, PokeSettings(), allowed, 3, worker)
     status = LoopStatus("choosing", 0)
     return DrivenBlock(
-        block, belief=None, object_pose=seen_at(0.02, -0.03, 0.4), seen_object=SEEN, status=status
+        block, belief=None, object_pose=seen_at(0.02, -0.03, 0.4), seen_object=seen(), status=status
     )
 
 

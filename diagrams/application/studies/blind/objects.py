@@ -11,14 +11,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from slipmap.models.geometry import turn
+
 FloatArray = NDArray[np.float64]
 GRAVITY = 9.81
-
-
-def rotation_matrix(angle: float) -> FloatArray:
-    """(2, 2) matrix that rotates vectors by an angle, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,8 +300,7 @@ def random_plan(rng: np.random.Generator, thing: SlidingObject, kind: str) -> Pu
     curvature = float(rng.uniform(-3.5, 3.5)) if curved else 0.0
     start, heading = _approach(rng, thing)
     pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-    turn = rotation_matrix(pose[2])
-    path = FingerPath(turn @ start, heading + pose[2], curvature, times, speeds)
+    path = FingerPath(turn(pose[2]) @ start, heading + pose[2], curvature, times, speeds)
     # Keep the object well within the table.
     way = path.positions(times[-1:])[0] - path.start
     for _ in range(1000):

@@ -26,8 +26,7 @@ COLUMNS = {
 """Diagnoses judged by the truth: column heading and meaning."""
 
 _ALARMS = ("right", "near", "wrong", "in set", "not in", "unknown")
-_OUTSIDE = " *"
-"""Mark of effects that are not in the library."""
+_OUTSIDE = " *"  # mark of effects that are not in the library
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipmap.diagrams.application.studies.blind.objects import (
-    GRAVITY,
-    FloatArray,
-    SlidingObject,
-    rotation_matrix,
-)
-from slipmap.models.geometry import rotated
+from slipmap.diagrams.application.studies.blind.objects import GRAVITY, FloatArray, SlidingObject
+from slipmap.models.geometry import rotated, turn
 
 Strength = Literal["clear", "weak"]
 Range = tuple[float, float]
@@ -44,7 +39,7 @@ class Instant:
     @cached_property
     def rotation(self) -> FloatArray:
         """(2, 2) rotation from the object frame to the world."""
-        return rotation_matrix(self.pose[2])
+        return turn(self.pose[2])
 
     @cached_property
     def places(self) -> FloatArray:
@@ -228,7 +223,7 @@ def anisotropic_table(along: float, across: float, angle: float) -> Effect:
     """Friction is `along` times larger along the table's grain at `angle`, and `across` times across it."""
 
     def grain(turned: float) -> FloatArray:
-        axes = rotation_matrix(angle - turned)
+        axes = turn(angle - turned)
         return axes @ np.diag([along, across]) @ axes.T
 
     return Effect(grain=grain)
@@ -381,8 +376,8 @@ def tracker_shift(x: float, y: float) -> Effect:
 
 def force_frame(angle: float, negated: bool) -> Effect:
     """Forces are rotated by `angle`, after negating y if `negated`."""
-    turn = rotation_matrix(angle) * [1.0, -1.0 if negated else 1.0]
-    return Effect(felt=lambda forces: forces @ turn.T)
+    frame = turn(angle) * [1.0, -1.0 if negated else 1.0]
+    return Effect(felt=lambda forces: forces @ frame.T)
 
 
 def force_bias(x: float, y: float) -> Effect:
@@ -497,9 +492,7 @@ class Kind(NamedTuple):
         return effect
 
 
-PLAIN = Kind("none", Effect, lambda c: {})
-"""The plain world."""
-
+PLAIN = Kind("none", Effect, lambda c: {})  # the plain world
 _FIELD = "table_friction_field"
 LIBRARY = (
     Kind("table_tilt", table_tilt, lambda c: {

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.campaigns.worlds import WorldNoise
+from slipmap.models.geometry import turn
 from slipmap.models.measurements.push_dataset import Noise, Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Push, Slider
-from slipmap.planners.exploration import turn
 from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.table_push import TablePush
 

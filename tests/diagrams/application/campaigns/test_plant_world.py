@@ -8,10 +8,11 @@ import pytest
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, finger_path
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
+from slipmap.models.geometry import turn
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Push, Slider
-from slipmap.planners.exploration import candidate_pushes, turn
+from slipmap.planners.exploration import candidate_pushes
 from slipmap.planners.push_decisions import ObjectFell, PushNotMade
 from slipmap.planners.table_push import TablePush
 

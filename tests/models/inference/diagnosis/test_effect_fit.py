@@ -36,7 +36,7 @@ def test_sizes_hold_the_truth_where_the_strict_fit_is_too_sure(shared_data: Path
     """A tilt is in proportion to the mass, of which forces tell more than they know."""
     dataset = read_dataset(shared_data / "effects" / "public-tilt")
     few = replace(dataset, trials=dataset.trials[:16])
-    found = diagnose(few, effects=effects_named(["table_tilt"]), quick=True)
+    found = diagnose(few, effects=effects_named(["table_tilt", "sensor_latency"]), quick=True)
     tilt, direction = 0.05235988, 1.178213
     truth = {"down_x": tilt * np.cos(direction), "down_y": tilt * np.sin(direction)}
     assert found.verdict == "effect"
