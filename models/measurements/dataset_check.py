@@ -56,7 +56,7 @@ class Finding:
 
     what: str
     found: str  # with numbers and units
-    verdict: Verdict  # `wrong` means that anything learnt would be wrong
+    verdict: Verdict  # `wrong` means that anything learned would be wrong
     advice: str = ""  # what to do, if anything
 
 
@@ -106,7 +106,7 @@ class DatasetCheck:
 
     @property
     def wrong(self) -> bool:
-        """Whether anything learnt from these pushes would be wrong."""
+        """Whether anything learned from these pushes would be wrong."""
         return any(finding.verdict == "wrong" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:

@@ -200,9 +200,6 @@ def _bins(
             [at.mean()], [means.mean()], [half], fmt="o", color=colour, markersize=5, elinewidth=1.8,
             capsize=0,
         )  # fmt: skip
-    reach = float(np.quantile(np.abs(values), 0.97)) if len(values) else 1.0
-    low, high = axes.get_ylim()
-    axes.set_ylim(max(low, -1.6 * reach), min(high, 1.6 * reach))
 
 
 def _ticks(axes: Axes, factor: str) -> None:

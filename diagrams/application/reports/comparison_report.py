@@ -57,8 +57,8 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
         ValueError: none or more than two models, or models over different pushes.
     """
     first = comparisons[0]
-    learnt = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
-    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
+    learned = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
+    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learned}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model and measurement"
     headline, dot, others = words.headline(comparisons[-1], where).partition(". ")

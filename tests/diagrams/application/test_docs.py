@@ -19,7 +19,7 @@ NO_CLAIMS = {LAB, DOCS / "changelog.md"}
 """Where numbers are measured, and where history tells of those of then."""
 
 RESULT = re.compile(
-    r"\b(ended|held (?=[\d,]+ )|came out|comes? out|(was|were) (off|found|learnt)|in the median|on average"
+    r"\b(ended|held (?=[\d,]+ )|came out|comes? out|(was|were) (off|found|learned)|in the median|on average"
     r"|beside (the|its) prediction|held out(?= \|)|held-out (error|ends|pushes))\b"
 )
 """Words by which a sentence tells what was measured."""

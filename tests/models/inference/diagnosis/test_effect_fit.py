@@ -1,4 +1,4 @@
-"""Maps and effects learnt together, against the truth beside a dataset."""
+"""Maps and effects learned together, against the truth beside a dataset."""
 
 from __future__ import annotations
 
