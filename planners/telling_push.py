@@ -543,11 +543,11 @@ def _sentence(
         x, y, angle = predicted.poses[0, -1] - asked["pose"]
         force = np.hypot(*predicted.forces[0].T)
         pressed = force[force > 0.2 * force.max()]
-        text = f"{rival.name}: {1e3 * np.hypot(x, y):.1f} mm, {np.degrees(angle):+.1f}°"
-        parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
+        text = f"{1e3 * np.hypot(x, y):.1f} mm, {np.degrees(angle):+.1f}°"
+        parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else "") + f" ({rival.name})")
     return (
-        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations. Predicted"
-        f" displacement, rotation and mean force — {'; '.join(parts)}."
+        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations of the"
+        f" error. Predicted displacement, rotation and mean force: {'; '.join(parts)}."
     )
 
 

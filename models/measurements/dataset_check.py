@@ -431,7 +431,7 @@ def _quantities(seen: Coverage) -> list[Told]:
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
         Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
-             f"fastest {1e3 * seen.fastest:.0f} mm/s, {seen.coasting} pushes coast"),
+             f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip
