@@ -244,13 +244,35 @@ def test_two_models_have_one_scale(both, learned):
     assert alone.axes[1].get_ylim()[1] < figures["motion.table_place"].axes[1].get_ylim()[1]
 
 
+def test_the_worse_of_two_models_is_drawn_whole(both, learned):
+    """In curves and in fields, in whichever order the models come."""
+    first, second = both
+    worse = replace(second, motion=replace(second.motion, values=10 * second.motion.values))
+    for pair in ([first, worse], [worse, first]):
+        for factor in CONDITIONS:
+            axes = factor_figure(pair, factor).axes[0]
+            low, high = axes.get_ylim()
+            drawn = np.concatenate(
+                [line.get_ydata() for line in axes.get_lines() if line.get_marker() in (".", "o")]
+            )
+            bars = [bar for entry in axes.containers for bar in entry.lines[2][0].get_segments()]
+            drawn = np.concatenate([drawn, *(bar[:, 1] for bar in bars)])
+            assert low <= drawn.min() and drawn.max() <= high, factor
+        figures = residual_figures(pair, learned[0])
+        for name in ("motion.table_place", "motion.contact_place"):
+            views = [(axes.get_xlim(), axes.get_ylim()) for axes in
+                     (figures[name].axes[0], figures[f"{name}.second"].axes[0])]  # fmt: skip
+            assert views[0] == views[1]
+        assert figures["motion.table_place"].axes[0].get_title(loc="left").endswith(pair[0].label)
+
+
 def test_curves_show_means_over_pushes(learned):
     """Dots of a curve: each push once in each bin, at the mean of its pieces there."""
     result = learned[2]
     motion = result.motion
     component = next(p for p in result.structure if (p.factor, p.quantity) == ("order", "motion")).strongest
     axes = factor_figure([result], "order").axes[0]
-    assert axes.get_title(loc="left").endswith(component.split(", ")[0])
+    assert axes.get_title(loc="left").lower() == component.split(", ")[0].lower()
     dots = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
     assert len(dots) == len(np.unique(motion.at.push))
     assert set(CONDITIONS) == {"speed", "table_direction", "object_direction", "phase", "time", "order"}
