@@ -315,25 +315,26 @@ def _drawn(fields: Sequence[_Field], quantity: str, rim: float) -> tuple[Figure,
     width, height = 0.55 if quantity == "motion" else 0.74, 0.75 if len(fields) == 1 else 0.7
     axes = figure.add_axes((0.17, 0.16, width, height))
     axes.tick_params(labelsize=8)
+    cell = max(other.bin for other in fields)
     axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     scale = min(_arrow_scale(other.values[:, :2], other.arrows, quantity) for other in fields)
     turning = [abs(float(value[2])) for other in fields for _, value in other.arrows if len(value) > 2]
-    _draw_pieces(axes, field.place, field.values, scale * field.bin)
+    _draw_pieces(axes, field.place, field.values, scale * cell)
     limit = max(float(np.quantile(turning or [0.0], _SCALED)), 200 * NEGLIGIBLE[quantity])
-    mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
-    low = np.min([other.low for other in fields], axis=0) - rim * field.bin
-    high = np.max([other.high for other in fields], axis=0) + rim * field.bin
+    mappable = _draw_means(axes, field.arrows, scale * cell, quantity, limit)
+    low = np.min([other.low for other in fields], axis=0) - rim * cell
+    high = np.max([other.high for other in fields], axis=0) + rim * cell
     middle = (low + high) / 2
     # Tips of long arrows must be visible.
-    tips = [place + scale * field.bin * value[:2] for other in fields for place, value in other.arrows]
+    tips = [place + scale * cell * value[:2] for other in fields for place, value in other.arrows]
     if quantity == "force":
-        tips += [tip for other in fields for tip in other.place + scale * field.bin * other.values]
+        tips += [tip for other in fields for tip in other.place + scale * cell * other.values]
     reach = np.abs(np.array(tips).reshape(-1, 2) - middle).max(initial=0.0)
     half = max(float((high - low).max()) / 2, 1.05 * float(reach), 1e-3)
     # Leaves room below for the scale arrow.
     axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
     axes.set_aspect("equal")
-    _finish(figure, axes, mappable, scale, field.bin, quantity)
+    _finish(figure, axes, mappable, scale, cell, quantity)
     return figure, axes
 
 
