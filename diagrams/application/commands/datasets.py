@@ -212,4 +212,5 @@ def import_files(
     count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
     click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
     note(f"dataset: {output}\npicture: {picture}")
-    note(f"next: slipmap check {output}, then slipmap identify {output} -o belief.npz")
+    where = shlex.quote(str(output))
+    note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")
