@@ -13,7 +13,7 @@ STAMP := $(VENV)/.slipmap-installed
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
 
-demo: $(STAMP) ## Let a simulated robot find out that its table is tilted, and take a hammer at the edge; see demo/
+demo: $(STAMP) ## Long demo: a simulated robot finds its table's tilt and grasps a hammer, see demo/; short: slipmap demo
 	@$(BIN)/slipmap pregrasp --scenario docs/examples/tilted-table.yaml --adapt --out demo --record demo/recording.html
 
 test: $(STAMP) ## Run all tests

@@ -65,7 +65,7 @@ def planning_belief(
 
 
 def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
-    """A belief in one hypothesis as the truth, without the model errors learnt with the full belief."""
+    """A belief in one hypothesis as the truth, without the model errors learned with the full belief."""
     settings = {**belief.settings, "planning": method}
     settings.pop(END_ERRORS, None)
     return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
@@ -158,7 +158,7 @@ class Pregrasp:
     reason: str  # of success or failure, in words
     method: str  # of planning
     belief: Belief | None  # identified, with all hypotheses; None if exploration failed
-    explorations: tuple[Trial, ...] = ()  # pushes that it was learnt from
+    explorations: tuple[Trial, ...] = ()  # pushes that it was learned from
     goals: tuple[Goal, ...] = ()  # that were available
     goal: Goal | None = None  # the last one aimed at, if any
     pose: FloatArray | None = None  # (3,) last seen, world, if any

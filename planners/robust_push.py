@@ -6,7 +6,7 @@ one has the smallest expected distance from the target, over the hypotheses with
 `timeout` is a number of candidates, so that the choice does not depend on the computer's speed.
 
 Extensions of the paper: candidates vary in length and slightly in direction; control noise of the finger and
-learnt model errors are simulated together with the hypotheses; a fall has a cost in each; there may be many
+learned model errors are simulated together with the hypotheses; a fall has a cost in each; there may be many
 targets, any of which is acceptable; and candidates are compared by the expected number of pushes to a target,
 which depends on the gap. The gap alone would favour moving the object close to a target at once, from where
 turning it takes more pushes than before.
@@ -62,7 +62,7 @@ class Scenarios:
     least_margins: FloatArray  # (S,) balance margin below which the object counts as falling, m
     noise: FloatArray  # (S, 3) error of the finger's path: x, y in m, angle about its start in rad
     # (S, 3) model error: x, y (shares of the cells' path) and angle (rad per metre of path), drawn with the
-    # size of `Belief.end_errors`; zero if the belief has not learnt those
+    # size of `Belief.end_errors`; zero if the belief has not learned those
     drift: FloatArray
 
     @classmethod

@@ -95,7 +95,7 @@ class PokeSettings:
 class PushSettings(CheckedSettings):
     """How a push towards a goal is chosen (Algorithm 3)."""
 
-    _section = "push."
+    _section = "pushes: "
 
     # lines along which pushes are simulated first, each with all its lengths
     candidates: int = within(64, 4, 10_000)

@@ -29,8 +29,7 @@ from slipmap.models.effects import LIBRARY, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.geometry import angle_between, turn
 from slipmap.models.inference.diagnosis import procedure
-from slipmap.models.inference.diagnosis.fitting import Fitted
-from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.diagnosis.results import Diagnosis, parameter_estimates
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import slider_for
@@ -354,11 +353,14 @@ def _question(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> Que
     if len(diagnosis.rivals) > 1:
         rivals = [Rival.of(fitted) for fitted in diagnosis.rivals]
         return of(rivals, list(combinations(range(len(rivals)), 2)), "best tells the models apart")
-    return of(_sharpened(diagnosis.best), [(0, 1)], "best pins down the parameter")
+    rivals, parameter = _sharpened(diagnosis)
+    return of(rivals, [(0, 1)], f"best separates the ends of the 90 % interval of {parameter}")
 
 
-def _sharpened(best: Fitted) -> list[Rival]:
-    """The model with its least certain parameter one standard deviation lower and higher, refitted."""
+def _sharpened(diagnosis: Diagnosis) -> tuple[list[Rival], str]:
+    """The best model with its least certain parameter at either end of its 90 % interval, the rest refitted;
+    and the name of that parameter."""
+    best = diagnosis.best
     prior = best.likelihood.prior
     equations = best.likelihood.linearise(
         best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
@@ -366,15 +368,21 @@ def _sharpened(best: Fitted) -> list[Rival]:
     covariance = np.linalg.inv(equations.hessian[0] + np.eye(prior.size))
     amplitudes = np.concatenate([effect.amplitudes for effect in best.effects])
     spread = np.diagonal(covariance)[prior.plain :]
-    column = prior.plain + int(np.argmax(np.where(amplitudes, spread, -1.0)))
-    shift = covariance[:, column] / np.sqrt(covariance[column, column])
-    names = [f"{effect.name} {q.name}" for effect in best.effects for q in effect.parameters]
+    chosen = int(np.argmax(np.where(amplitudes, spread, -1.0)))
+    column = prior.plain + chosen
+    slope = covariance[:, column] / covariance[column, column]
+    fitted = parameter_estimates(best)[chosen]
+    known = {(p.effect, p.name): p for candidate in diagnosis.candidates for p in candidate.parameters}
+    estimate = known.get((fitted.effect, fitted.name), fitted)
+    name = f"{estimate.effect} {estimate.name}"
     rivals = []
-    for sign, word in ((-1, "lower"), (1, "higher")):
-        z = best.z + sign * shift
-        value = prior.maps(z[None]).effects[0, column - prior.plain]
-        rivals.append(Rival.of(best, f"{names[column - prior.plain]} {word} ({value:.3g})", z))
-    return rivals
+    for end in (estimate.low, estimate.high):
+        values = best.values.copy()
+        values[chosen] = end
+        step = prior.effect_coordinates(values)[chosen] - best.z[column]
+        unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+        rivals.append(Rival.of(best, f"{name} = {end:.3g}{unit}", best.z + step * slope))
+    return rivals, name
 
 
 def _of_ordinary_size(
@@ -535,11 +543,11 @@ def _sentence(
         x, y, angle = predicted.poses[0, -1] - asked["pose"]
         force = np.hypot(*predicted.forces[0].T)
         pressed = force[force > 0.2 * force.max()]
-        text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
-        parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
+        text = f"{1e3 * np.hypot(x, y):.1f} mm, {np.degrees(angle):+.1f}°"
+        parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else "") + f" ({rival.name})")
     return (
-        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations. Predicted"
-        f" displacement, rotation and mean force — {'; '.join(parts)}."
+        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations of the"
+        f" error. Predicted displacement, rotation and mean force: {'; '.join(parts)}."
     )
 
 

@@ -118,11 +118,11 @@ class Belief:
 
     @property
     def taught(self) -> int:
-        """Number of pushes it was learnt from; 0 where this was not recorded."""
+        """Number of pushes it was learned from; 0 where this was not recorded."""
         return len(self.settings.get("fit_trials", ()))
 
     @classmethod
-    def learnt(
+    def learned(
         cls,
         dataset: PushDataset,
         slider: Slider,
@@ -134,7 +134,7 @@ class Belief:
         trials: Sequence[str],
         settings: Mapping[str, Any],
     ) -> Belief:
-        """A belief learnt from pushes of a dataset, with its origin on record.
+        """A belief learned from pushes of a dataset, with its origin on record.
 
         Args:
             dataset: the pushes.
@@ -185,7 +185,7 @@ class Belief:
     @property
     def end_errors(self) -> FloatArray:
         """(3,) model error at the end of a push beyond the spread of the hypotheses: standard deviations of
-        x, y (shares of the cells' travel) and θ (rad per metre of travel); zero where not learnt."""
+        x, y (shares of the cells' travel) and θ (rad per metre of travel); zero where not learned."""
         place, turn = self.settings.get(END_ERRORS, [0.0, 0.0])
         return np.array([place, place, turn / radius_of_gyration(self.grid)])
 

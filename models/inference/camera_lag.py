@@ -22,7 +22,7 @@ class CameraLag:
     # low, high: 90 % interval over refits, widened by `_CERTAIN`, s
     low: float
     high: float
-    pushes: int  # number of pushes that it was learnt from
+    pushes: int  # number of pushes that it was learned from
 
     @property
     def shown(self) -> bool:

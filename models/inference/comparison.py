@@ -131,7 +131,7 @@ def compare(
 
     Args:
         dataset: pushes of the object that the belief is about.
-        belief: what was learnt, from this or another dataset; without one, `identify` learns it first.
+        belief: what was learned, from this or another dataset; without one, `identify` learns it first.
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
@@ -193,7 +193,7 @@ def compare(
 def compare_with_effects(
     dataset: PushDataset, effects: Sequence[Effect | str], *, seed: int = 0, progress: Progress | None = None
 ) -> tuple[Comparison, Comparison]:
-    """Compare the models without and with some effects, learnt from the same pushes, with all pushes.
+    """Compare the models without and with some effects, learned from the same pushes, with all pushes.
 
     Args:
         dataset: measured pushes.

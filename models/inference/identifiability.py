@@ -3,7 +3,8 @@
 The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), measures the
 information in the data: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior
 variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the prior's variance (half its width)
-is left, or where it was measured beforehand.
+is left, where it was measured beforehand, or, if it is the parameter of an effect, where its 90 % interval
+excludes the value at which the effect vanishes.
 """
 
 from __future__ import annotations
@@ -127,13 +128,17 @@ def effect_quantities(
     for (effect, parameter), values, share, deviation in zip(
         named, belief.maps.effects.T, left, deviations, strict=False
     ):
-        shown = bool(share < SHOWN_SHARE)
         scatter = float(belief.probability @ (values - belief.probability @ values) ** 2)
         more = np.sqrt(max(float(deviation) ** 2 - scatter, 0.0))
         middle, low, high = interval(values, belief.probability, more=more)
-        reason = "the pushes determine it, if the effect is present"
-        if not shown:
+        clear = parameter.null is not None and not low <= parameter.null <= high
+        if share < SHOWN_SHARE:
+            reason = "the pushes determine it, if the effect is present"
+        elif clear:
+            reason = f"not {parameter.null:g}, where the effect vanishes; how large is less certain"
+        else:
             reason = "left open by these pushes; the prior decides"
+        shown = bool(share < SHOWN_SHARE or clear)
         low, high = max(low, float(parameter.low)), min(high, float(parameter.high))
         name = f"{effect}: {parameter.name}"
         facts.append(Quantity(name, parameter.unit, middle, low, high, shown, reason))
@@ -188,6 +193,10 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
             "the measured force contradicts the contact and was left out: correct its frame, or learn with"
             " the effect force_frame"
         )
+    if seen.coasted:
+        scale = "stopping distances"
+    else:
+        scale = f"friction against inertia{' or the effects' if slider.effects else ''}"
     weak_force = "too few forces were measured in steady pushing"
     slow = seen.unless_missed(
         "the object slid freely for too short a time, or too similarly each time"
@@ -204,7 +213,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     )
     measures = [
         _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
-                 "force in steady sliding" if seen.forces else "stopping distances",
+                 "force in steady sliding" if seen.forces else scale,
                  weak_force if seen.forces else no_force),
         *(
             _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
@@ -228,7 +237,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     ]  # fmt: skip
     for name, cells in _regions(slider):
         measures.append(
-            _Measure(f"share of mass x friction, {name}", "-", _sum(share, cells), False,
+            _Measure(f"share of mass × friction, {name}", "-", _sum(share, cells), False,
                      "centre and arm of friction", "other distributions turn the object the same way", True)
         )  # fmt: skip
     return measures

@@ -193,7 +193,7 @@ def fit(
         dataset, effects, hypotheses, seed, progress: as in `identify`.
 
     Returns:
-        What was learnt with the effects; its `without_effects` is what `identify` learns without them.
+        What was learned with the effects; its `without_effects` is what `identify` learns without them.
 
     Raises:
         DatasetError, ValueError, EffectError: as `identify`.
@@ -223,7 +223,7 @@ def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
 
 
 def check_request(dataset: PushDataset, hypotheses: int) -> None:
-    """Refuse a request from which no belief can be learnt.
+    """Refuse a request from which no belief can be learned.
 
     Raises:
         DatasetError: there is no push to fit.

@@ -312,7 +312,7 @@ def mixed_belief(
     slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, used, own.table)
     names = ("mass", "mu", "mu_finger", "effects")
     together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
-    return Belief.learnt(
+    return Belief.learned(
         dataset,
         slider,
         together,

@@ -280,7 +280,7 @@ def identify_by_algorithm_1(
         epochs=_EPOCHS,
         progress=partial(progress or silent, "Algorithm 1"),
     )
-    return Belief.learnt(
+    return Belief.learned(
         dataset,
         slider,
         maps,

@@ -170,7 +170,7 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 
     Args:
-        belief: what was learnt, from this or another dataset of the same object.
+        belief: what was learned, from this or another dataset of the same object.
         dataset: pushes of the object that the belief is about; its table is the one used.
         progress: called with (stage, done, total).
 
@@ -215,7 +215,7 @@ def predict_observations(
     """Do the work of `predict` on prepared observations.
 
     Args:
-        belief: what was learnt.
+        belief: what was learned.
         observations: B pushes.
         noise: of the sensors that measured them.
         progress: called with (stage, done, total).
@@ -263,7 +263,7 @@ def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: S
     over this travel, and tracker noise.
 
     Args:
-        belief: what was learnt.
+        belief: what was learned.
         start: (3,) pose before the push.
         ends: (K, 3) where its hypotheses end.
         noise: of the sensors.

@@ -86,7 +86,7 @@ def resting_misfit(
         grid: cells.
         forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to use the
             pose alone.
-        taught: number of pushes that the hypotheses were learnt from; 0 if their spread is exact.
+        taught: number of pushes that the hypotheses were learned from; 0 if their spread is exact.
 
     Returns:
         The misfit, about 1 where nothing is missing, and p, the probability of one as large in that case.
@@ -120,7 +120,7 @@ def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, err
     Args:
         start: (3,) pose before the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.
-        belief: the belief that predicted them; if it has no learnt model error, α is used.
+        belief: the belief that predicted them; if it has no learned model error, α is used.
         error: noise of the poses, and α.
     """
     if END_ERRORS in belief.settings:

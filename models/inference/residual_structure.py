@@ -203,7 +203,7 @@ LEVEL = 0.05
 
 NEGLIGIBLE = {"motion": 0.005, "force": 0.03, "delay": 0.005}
 """Sizes up to which patterns are ignored; the tests ask whether there is more. Half a percent of the travel
-is the model error that identification always allows; it weighs forces lightly, so their level is learnt only
+is the model error that identification always allows; it weighs forces lightly, so their level is learned only
 to a few percent; and half the model's longest step, 5 ms, does not count as a delay."""
 
 OUTLYING = 2.0

@@ -23,7 +23,7 @@ class Quantity:
     value: float  # median over the belief
     low: float  # lower end of the 90 % interval
     high: float  # upper end
-    shown: bool  # whether the data leave less than half of the prior's width, or it was known beforehand
+    shown: bool  # whether the pushes determine it, see `slipmap.models.inference.identifiability`
     reason: str  # why, or why not
 
     def __str__(self) -> str:
@@ -37,7 +37,7 @@ class Identification:
     """Result of `identify`.
 
     Attributes:
-        belief: what was learnt.
+        belief: what was learned.
         pushes: all pushes, fitted and held out, as measured and as predicted.
         quantities: what the pushes determine, and what they leave open.
         seconds: run time.
@@ -45,7 +45,7 @@ class Identification:
             was tried, empty for the method `paper`.
         share_of_known: where maps were known beforehand, the weight of the model with these maps against one
             with free maps; 0 where the pushes contradict them.
-        without_effects: for `fit`, what the model without the effects learnt from the same pushes.
+        without_effects: for `fit`, what the model without the effects learned from the same pushes.
     """
 
     belief: Belief
@@ -79,8 +79,8 @@ class Identification:
         if self.without_effects is None:
             return None
         first, second = (
-            np.array([push.errors.misfit for push in learnt.pushes if push.role == self.judges])
-            for learnt in (self.without_effects, self)
+            np.array([push.errors.misfit for push in learned.pushes if push.role == self.judges])
+            for learned in (self.without_effects, self)
         )
         return Paired.of(first, second)
 

@@ -56,7 +56,7 @@ class Finding:
 
     what: str
     found: str  # with numbers and units
-    verdict: Verdict  # `wrong` means that anything learnt would be wrong
+    verdict: Verdict  # `wrong` means that anything learned would be wrong
     advice: str = ""  # what to do, if anything
 
 
@@ -106,7 +106,7 @@ class DatasetCheck:
 
     @property
     def wrong(self) -> bool:
-        """Whether anything learnt from these pushes would be wrong."""
+        """Whether anything learned from these pushes would be wrong."""
         return any(finding.verdict == "wrong" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
@@ -431,7 +431,7 @@ def _quantities(seen: Coverage) -> list[Told]:
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
         Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
-             f"fastest {1e3 * seen.fastest:.0f} mm/s, {seen.coasting} pushes coast"),
+             f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip

@@ -315,7 +315,7 @@ def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[C
     where = f"{where}, {name}"
     columns = len(CHANNELS[name])
     rows = tables[name][:, : columns + 1]
-    if name == "ft_wrench":  # the torque may be missing, since nothing is learnt from it
+    if name == "ft_wrench":  # the torque may be missing, since nothing is learned from it
         measured = np.isfinite(rows[:, :3]).all(axis=1)
         rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
     if len(rows) == 0:

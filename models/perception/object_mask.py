@@ -215,7 +215,7 @@ class PictureHistory:
     missing: float = 1.0  # usual share of pixels without a reading
 
     def learned(self, frames: Sequence[DepthImage], blocked: Mask | None) -> PictureHistory:
-        """The history, with the noise learnt from pictures (H, W) of a scene at rest.
+        """The history, with the noise learned from pictures (H, W) of a scene at rest.
 
         Two pictures of a camera without noise share rows wherever nothing moves.
         """

@@ -13,6 +13,7 @@ import pytest
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.results import ParameterEstimate, parameter_estimates
 from slipmap.models.inference.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.measurements.push_dataset import Table
@@ -22,7 +23,7 @@ from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.action_selection import choose_push
 from slipmap.planners.exploration import NoReachablePush, candidate_pushes
-from slipmap.planners.telling_push import next_push, push_of, robots_question
+from slipmap.planners.telling_push import next_push, push_of, rivals_of, robots_question
 
 RADIUS, MASS, MU = 0.006, 0.6, 0.3
 SPEED = 0.05
@@ -209,11 +210,24 @@ def test_the_push_can_be_made(world: World) -> None:
         )
 
 
-def test_one_effect_is_pinned_down(world: World) -> None:
-    told = next_push(world.diagnosis("effect", [world.model("viscous_friction", (500.0,))]), world.dataset)
+def test_one_effect_is_pinned_down_at_the_ends_of_its_interval(world: World) -> None:
+    """The interval that the diagnosis reports, or that of the fit where it reports none."""
+    viscous = world.model("viscous_friction", (500.0,))
+    diagnosis = world.diagnosis("effect", [viscous])
+    told = next_push(diagnosis, world.dataset)
     assert told is not None
-    assert told["separates"][0].startswith("viscous_friction drag_per_area lower")
+    assert told["separates"][0].startswith("viscous_friction drag_per_area = ")
     assert told["separation"] > 0.1
+    own = [rival.maps.effects[0, 0] for rival in rivals_of(diagnosis, world.dataset)]
+    (fitted,) = parameter_estimates(viscous)
+    assert own == pytest.approx([fitted.low, fitted.high])
+    estimate = ParameterEstimate("viscous_friction", "drag_per_area", "N s/m³", 500.0, 300.0, 900.0)
+    diagnosis.candidates = (SimpleNamespace(name="viscous_friction", parameters=(estimate,)),)
+    rivals = rivals_of(diagnosis, world.dataset)
+    assert [rival.maps.effects[0, 0] for rival in rivals] == pytest.approx([300.0, 900.0])
+    assert [rival.name for rival in rivals] == [
+        f"viscous_friction drag_per_area = {end} N s/m³" for end in (300, 900)
+    ]
 
 
 def test_undecided_shows_what_is_hardly_seen(world: World) -> None:

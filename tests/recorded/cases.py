@@ -142,7 +142,7 @@ _RUNS = {
     "predict-with-effect": Case(
         "predict demo/pushes --belief tilt.npz -o tilt-predictions.png --json predict-tilt.json", ("fit",)
     ),
-    "compare": Case("compare demo/pushes -o learnt.html --seed 2 --json learnt.json", ("demo",)),
+    "compare": Case("compare demo/pushes -o learned.html --seed 2 --json learned.json", ("demo",)),
     "compare-belief": Case(
         "compare demo/pushes --belief plain.npz -o comparison.html --json compare.json", ("identify-plain",)
     ),

@@ -155,7 +155,7 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
-    named = f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n"
+    named = f"{first.dataset}, {len(first.pushes)} pushes; model learned from {first.learnt_from}\n"
     click.echo(printable(named))
     show_comparison(results)
     for text in findings(results):

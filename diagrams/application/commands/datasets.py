@@ -104,9 +104,12 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
     from slipmap.diagrams.application.figures import measured_figure
     from slipmap.diagrams.application.reports.html_page import Section, page, picture, table as html_table
 
+    columns = ["check", "found", "verdict", "what to do"]
+    if not any(one.advice for one in found.findings):
+        columns.pop()
     findings = html_table(
-        ["check", "found", "verdict", "what to do"],
-        [[one.what, one.found, one.verdict, one.advice] for one in found.findings],
+        columns,
+        [[one.what, one.found, one.verdict, one.advice][: len(columns)] for one in found.findings],
         marked=[one.verdict == "wrong" for one in found.findings],
     )
     told = "".join(
@@ -178,6 +181,11 @@ def import_files(
         raise BadInput(
             f"{setup}: there is no such file; write a first setup with --guess, or name yours with --setup"
         )
+    for source in sources:
+        if source.suffix in (".yaml", ".yml"):
+            raise BadInput(
+                f"{source}: name a setup with --setup (default: setup.yaml), not among the sources"
+            )
     check_folder(output.absolute().parent, output)
     is_replaced(output.resolve(), overwrite=True)
     with Progress() as progress:
@@ -204,4 +212,5 @@ def import_files(
     count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
     click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
     note(f"dataset: {output}\npicture: {picture}")
-    note(f"next: slipmap check {output}, then slipmap identify {output} -o belief.npz")
+    where = shlex.quote(str(output))
+    note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")

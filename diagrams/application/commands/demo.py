@@ -32,6 +32,9 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
 
     Pushes a hammer with a steel head and a wooden handle at random, records the pushes with sensor noise as
     a push dataset, identifies the maps from that alone, and compares the belief with the truth.
+
+    This is the short demo, without a robot. In the long one, `make demo` in the source tree, a simulated arm
+    learns the same hammer on a secretly tilted table, repairs its model, and grasps the hammer.
     """
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 

@@ -75,9 +75,9 @@ def _explain(effect: Effect, text: Written) -> None:
     if effect.memory:
         click.echo("  a prime marks the value after the step")
     click.echo()
+    names = {own: own if own == here else f"{own} ({here} above)" for own, here in text.symbols.items()}
     rows = [
-        (text.symbols[q.name], q.unit, f"{q.low:g} to {q.high:g}", null_of(q), q.meaning)
-        for q in effect.parameters
+        (names[q.name], q.unit, f"{q.low:g} to {q.high:g}", null_of(q), q.meaning) for q in effect.parameters
     ]
     table("Parameters", ("name", "unit", "range", "vanishes at", "meaning"), rows, numbers=(0, 2, 3))
 

@@ -274,7 +274,7 @@ def _show_gain(result: Identification) -> None:
     pushes = "Held-out pushes" if role == "heldout" else "Fit pushes"
     paired = result.with_and_without
     assert result.without_effects is not None and paired is not None
-    now, before = (float(learnt.errors(role).mean()) for learnt in (result, result.without_effects))
+    now, before = (float(learned.errors(role).mean()) for learned in (result, result.without_effects))
     effects = " and ".join(
         effect.name for effect in result.belief.effects if effect.name in result.effect_estimates
     )

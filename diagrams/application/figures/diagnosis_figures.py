@@ -197,7 +197,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
             apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
             upper.plot(times, 1e3 * apart, color=colour)
             lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
-        upper.set(ylabel=f"distance from\n{rivals[0].name.split(' (')[0]}, mm", ylim=(0, None))
+        upper.set(ylabel="distance from\nfirst model, mm", ylim=(0, None))
         upper.tick_params(labelbottom=False)
         lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
         upper.yaxis.label.set_fontsize(8)

@@ -262,7 +262,7 @@ _FARTHEST = 0.03  # m; largest gap that is drawn
 
 @styled
 def measured_figure(dataset: PushDataset) -> Figure:
-    """Pushes on the table, and contact gap and force over time, push after push.
+    """Pushes on the table, and contact gap and measured force over time, push after push.
 
     The gap is the distance between the finger's rim and the outline: near zero while the object moves, and
     never below. Of many pushes, two dozen are drawn, evenly chosen.
@@ -276,9 +276,10 @@ def measured_figure(dataset: PushDataset) -> Figure:
     places = np.unique(np.linspace(0, len(dataset.trials) - 1, _MOST_DRAWN).astype(int))
     trials = [dataset.trials[place] for place in places]
     figure = Figure(figsize=(9.6, 4.6))
+    forces = any(trial.ft_wrench is not None for trial in trials)
     table = figure.add_axes((0.06, 0.11, 0.38, 0.78))
-    gap_axes = figure.add_axes((0.53, 0.55, 0.45, 0.34))
-    force_axes = figure.add_axes((0.53, 0.11, 0.45, 0.34), sharex=gap_axes)
+    gap_axes = figure.add_axes((0.53, 0.55, 0.45, 0.34) if forces else (0.53, 0.11, 0.45, 0.78))
+    force_axes = figure.add_axes((0.53, 0.11, 0.45, 0.34), sharex=gap_axes) if forces else None
     now, ticks, largest = 0.0, [], 0.0
     for trial in trials:
         first, last = trial.object_pose.values[[0, -1]]
@@ -294,30 +295,35 @@ def measured_figure(dataset: PushDataset) -> Figure:
             if not trial.ends_only:
                 gap = np.minimum(gaps(dataset, tips, poses), _FARTHEST)
                 gap_axes.plot(now + time[near] - begin, 1e3 * gap, color=BELIEF, linewidth=0.8)
-        if trial.ft_wrench is not None:
+        if trial.ft_wrench is not None and force_axes is not None:
             force = np.hypot(*trial.ft_wrench.values[:, :2].T)
             force_axes.plot(now + trial.ft_wrench.time - begin, force, color=INK, linewidth=0.6)
             largest = max(largest, float(np.percentile(force, 99)))
         ticks.append(now)
         now += end - begin + _PAUSE
-    if largest > 0.0:  # the impact at the touch may be ten times the force of a push
-        force_axes.set_ylim(-0.05 * largest, 1.3 * largest)
-    _label(table, gap_axes, force_axes, ticks, now)
+    over_time = [gap_axes]
+    if force_axes is not None:
+        over_time.append(force_axes)
+        force_axes.set_ylabel("force, N")
+        if largest > 0.0:  # the impact at the touch may be ten times the force of a push
+            force_axes.set_ylim(-0.05 * largest, 1.3 * largest)
+    _label(table, over_time, ticks, now)
     more = "" if len(trials) == len(dataset.trials) else f", {len(trials)} of {len(dataset.trials)} pushes"
     figure.text(0.06, 0.985, f"{dataset.name}: what was measured{more}", va="top", fontsize=11)
     return figure
 
 
-def _label(table: Axes, gap_axes: Axes, force_axes: Axes, ticks: list[float], end: float) -> None:
+def _label(table: Axes, over_time: Sequence[Axes], ticks: list[float], end: float) -> None:
     table.set_aspect("equal", adjustable="datalim")
     table.autoscale_view()
     table.set(xlabel="x, m", ylabel="y, m")
     table.set_title("outlines before (grey) and after, finger path", loc="left", color=FAINT)
+    gap_axes = over_time[0]
     gap_axes.axhspan(-1e3 * CALIBRATION_ERROR, 1e3 * CALIBRATION_ERROR, color="#f1efea", linewidth=0)
     gap_axes.axhline(0.0, color=FAINT, linewidth=0.8)
     gap_axes.set_ylabel("gap, mm")
     gap_axes.set_title("between finger and outline; negative: finger inside", loc="left", color=FAINT)
-    force_axes.set(ylabel="force, N", xlabel="time, push after push, s", xlim=(0.0, max(end, 1e-3)))
-    for axes in (gap_axes, force_axes):
+    over_time[-1].set(xlabel="time, push after push, s", xlim=(0.0, max(end, 1e-3)))
+    for axes in over_time:
         for tick in ticks[1:]:
             axes.axvline(tick - 0.5 * _PAUSE, color="#dddddd", linewidth=0.6)

@@ -161,8 +161,8 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
         shift = (k - 0.5 * (len(comparisons) - 1)) * 0.12
         _bins(axes, condition(residuals.at), values, residuals, edges, MODEL_COLOURS[k], shift)
     _ticks(axes, factor)
-    axes.set(xlabel=label, ylabel=_UNITS[quantity])
-    axes.set_title(f"{_NAMES[quantity].capitalize()}, {component}", loc="left", fontsize=9.5)
+    axes.set(xlabel=label, ylabel=f"residual, {_UNITS[quantity]}")
+    axes.set_title(component[0].upper() + component[1:], loc="left", fontsize=9.5)
     light_grid(axes, "y")
     return figure
 
@@ -200,9 +200,6 @@ def _bins(
             [at.mean()], [means.mean()], [half], fmt="o", color=colour, markersize=5, elinewidth=1.8,
             capsize=0,
         )  # fmt: skip
-    reach = float(np.quantile(np.abs(values), 0.97)) if len(values) else 1.0
-    low, high = axes.get_ylim()
-    axes.set_ylim(max(low, -1.6 * reach), min(high, 1.6 * reach))
 
 
 def _ticks(axes: Axes, factor: str) -> None:
@@ -249,11 +246,10 @@ def table_figure(
         'Figure'
     """
     field = _on_table(comparison, quantity)
-    half = max(float((field.high - field.low).max()) / 2 + 0.6 * field.bin, 1e-3)
     fields = [field, *(_on_table(other, quantity) for other in beside if other is not comparison)]
-    figure, axes = _drawn(fields, quantity, half)
+    figure, axes = _drawn(fields, quantity, 0.6)
     axes.set(xlabel="table x, m", ylabel="table y, m")
-    axes.set_title(f"{_NAMES[quantity].capitalize()} over the table", loc="left", fontsize=9.5)
+    _name(axes, comparison, f"{_NAMES[quantity].capitalize()} over the table", fields)
     return figure
 
 
@@ -261,7 +257,8 @@ def table_figure(
 def object_figure(
     comparison: Comparison, grid: CellGrid, quantity: str = "motion", beside: Sequence[Comparison] = ()
 ) -> Figure:
-    """Residuals in the object frame, drawn at the contact; arrows are means of two pushes or more.
+    """Residuals in the object frame, drawn at the contact: an arrow is the mean of one push at one place, or
+    of several pushes if there are many.
 
     Figures drawn with the same models `beside` have the same scales.
 
@@ -269,13 +266,17 @@ def object_figure(
         ValueError: the comparison has no such residuals, or the finger touched nothing.
     """
     field = _on_object(comparison, grid, quantity)
-    half = 0.5 * float((field.high - field.low).max()) + 1.3 * field.bin
     fields = [field, *(_on_object(other, grid, quantity) for other in beside if other is not comparison)]
-    figure, axes = _drawn(fields, quantity, half)
+    figure, axes = _drawn(fields, quantity, 1.3)
     draw_outline(axes, grid, color=FAINT, fill=PAPER, zorder=0)
     axes.set(xlabel="object x, m", ylabel="object y, m")
-    axes.set_title(f"{_NAMES[quantity].capitalize()} at the contact", loc="left", fontsize=9.5)
+    _name(axes, comparison, f"{_NAMES[quantity].capitalize()} at the contact", fields)
     return figure
+
+
+def _name(axes: Axes, comparison: Comparison, title: str, fields: Sequence[_Field]) -> None:
+    """Write the title, with the model's label if there are several models."""
+    axes.set_title(f"{title}\n{comparison.label}" if len(fields) > 1 else title, loc="left", fontsize=9.5)
 
 
 def _on_table(comparison: Comparison, quantity: str) -> _Field:
@@ -301,33 +302,39 @@ def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
     low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
     size = float((high - low).max())
     place = np.floor((at.contact - low + 1e-9) / (size / _OUTLINE_BINS)).astype(int)
-    key = place[:, 0] * 1000 + place[:, 1]
-    arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], _LEAST_PUSHES)
+    many = len(np.unique(at.push)) > _MOST_ARROWS
+    key = place[:, 0] * 1000 + place[:, 1] + (0 if many else 1_000_000 * at.push)
+    arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], 2 if many else 1)
     return _Field(at.contact, values, arrows, low, high, size / _OUTLINE_BINS)
 
 
-def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
-    """Draw the first of some fields, on scales that suit all of them."""
+def _drawn(fields: Sequence[_Field], quantity: str, rim: float) -> tuple[Figure, Axes]:
+    """Draw the first of some fields, on scales that suit all of them, with a rim (in bins) around."""
     field = fields[0]
     figure = Figure(figsize=_FIELD)
-    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
+    width, height = 0.55 if quantity == "motion" else 0.74, 0.75 if len(fields) == 1 else 0.7
+    axes = figure.add_axes((0.17, 0.16, width, height))
     axes.tick_params(labelsize=8)
+    cell = max(other.bin for other in fields)
     axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     scale = min(_arrow_scale(other.values[:, :2], other.arrows, quantity) for other in fields)
     turning = [abs(float(value[2])) for other in fields for _, value in other.arrows if len(value) > 2]
-    _draw_pieces(axes, field.place, field.values, scale * field.bin)
+    _draw_pieces(axes, field.place, field.values, scale * cell)
     limit = max(float(np.quantile(turning or [0.0], _SCALED)), 200 * NEGLIGIBLE[quantity])
-    mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
-    middle = (field.low + field.high) / 2
-    # The tip of a long arrow must be visible.
-    reach = [
-        float(np.abs(place + scale * field.bin * value[:2] - middle).max()) for place, value in field.arrows
-    ]
-    half = max([half, *(1.05 * far for far in reach)])
+    mappable = _draw_means(axes, field.arrows, scale * cell, quantity, limit)
+    low = np.min([other.low for other in fields], axis=0) - rim * cell
+    high = np.max([other.high for other in fields], axis=0) + rim * cell
+    middle = (low + high) / 2
+    # Tips of long arrows must be visible.
+    tips = [place + scale * cell * value[:2] for other in fields for place, value in other.arrows]
+    if quantity == "force":
+        tips += [tip for other in fields for tip in other.place + scale * cell * other.values]
+    reach = np.abs(np.array(tips).reshape(-1, 2) - middle).max(initial=0.0)
+    half = max(float((high - low).max()) / 2, 1.05 * float(reach), 1e-3)
     # Leaves room below for the scale arrow.
     axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
     axes.set_aspect("equal")
-    _finish(figure, axes, mappable, scale, field.bin, quantity)
+    _finish(figure, axes, mappable, scale, cell, quantity)
     return figure, axes
 
 
@@ -401,16 +408,15 @@ def _finish(
 def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) -> dict[str, Figure]:
     """All figures that these comparisons allow, by `<quantity>.<factor>`."""
     figures: dict[str, Figure] = {}
+    endings = {id(comparison): ".second" if k else "" for k, comparison in enumerate(comparisons)}
     for quantity in ("motion", "force"):
         known = [c for c in comparisons if _residuals_of(c, quantity) is not None]
         touching = [c for c in known if np.isfinite(_wanted(c, quantity).at.contact).all(axis=1).any()]
-        for comparison in known:
-            ending = "" if comparison is comparisons[0] else ".second"
-            figures[f"{quantity}.table_place{ending}"] = table_figure(comparison, quantity, known)
-            if comparison in touching:
-                figures[f"{quantity}.contact_place{ending}"] = object_figure(
-                    comparison, dataset.grid, quantity, touching
-                )
+        for one in known:
+            figures[f"{quantity}.table_place{endings[id(one)]}"] = table_figure(one, quantity, known)
+        for one in touching:
+            figure = object_figure(one, dataset.grid, quantity, touching)
+            figures[f"{quantity}.contact_place{endings[id(one)]}"] = figure
         for factor in CONDITIONS:
             if pattern_of(comparisons[0], factor, quantity) is not None:
                 figures[f"{quantity}.{factor}"] = factor_figure(comparisons, factor, quantity)

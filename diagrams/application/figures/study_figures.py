@@ -253,7 +253,7 @@ def ends_figure(audit: Audit) -> Figure:
 
 @styled
 def prices_figure(prices: Mapping[str, float]) -> Figure:
-    """Bars of the mean distance (m) of each engine from Coulomb's law at the ends of pushes."""
+    """Bars of each engine's price (m): mean distance from Coulomb's law at the ends of pushes."""
     figure = Figure(figsize=(7.2, 0.5 + 0.28 * len(prices)), layout="constrained")
     axes = figure.add_subplot()
     names = list(prices)
@@ -265,6 +265,6 @@ def prices_figure(prices: Mapping[str, float]) -> Figure:
         )
     axes.invert_yaxis()
     axes.set_xlim(0, 1.12 * max(values.max(), 0.1))
-    axes.set_xlabel("mean distance from Coulomb's law at the end of a push, mm")
+    axes.set_xlabel("price: mean distance from Coulomb's law at the end of a push, mm")
     light_grid(axes, "x")
     return figure

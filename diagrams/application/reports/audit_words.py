@@ -12,13 +12,14 @@ from slipmap.diagrams.application.reports.html_page import Section, page, pictur
 from slipmap.diagrams.application.terminal import paragraph, table as print_table
 
 _COLUMNS = (
-    "engine", "distance, mm", "at half the step, mm", "step, ms", "defects", "effect that explains most",
+    "engine", "price, mm", "price at half the step, mm", "step, ms", "defects", "effect that explains most",
 )  # fmt: skip
 
 
 def headline(audit: Audit) -> str:
-    """The mean distance from Coulomb's law, in a sentence."""
-    return f"Pushes in {audit.name} end {1e3 * audit.pushed.price:.2g} mm from Coulomb's law on average."
+    """The price, in a sentence."""
+    price = f"{1e3 * audit.pushed.price:.2g} mm"
+    return f"Price of {audit.name}: pushes end {price} from Coulomb's law on average."
 
 
 def named(audit: Audit) -> str:
@@ -29,25 +30,25 @@ def named(audit: Audit) -> str:
 
 
 def pushed(audit: Audit) -> str:
-    """The pushes behind the mean distance, and the effect that explains most of it."""
+    """The pushes behind the price, and the effect that explains most of it."""
     worst, moved = 1e3 * audit.pushed.errors.max(), 1e3 * audit.standard.moved
     said = (
-        f"This is the mean over {len(audit.pushed.errors)} pushes, which move the object by {moved:.0f} mm;"
-        f" the worst ends {worst:.2g} mm off. At half the time step, the mean is"
+        f"The price is the mean over {len(audit.pushed.errors)} pushes, which move the object by"
+        f" {moved:.0f} mm; the worst ends {worst:.2g} mm off. At half the time step, the price is"
         f" {1e3 * audit.pushed_half.price:.2g} mm."
     )
     if audit.explained:
         best = audit.explained[0]
         said += (
             f" Fitting the effect {best.effect.name} with the maps held fixed leaves"
-            f" {1e3 * best.price:.2g} mm of it."
+            f" {1e3 * best.price:.2g} mm."
         )
     return said
 
 
 def remedies(audit: Audit) -> str:
-    """Settings that reduce the distance."""
-    return f"To come closer: {'; '.join(audit.remedies)}." if audit.remedies else ""
+    """Settings that lower the price."""
+    return f"To lower the price: {'; '.join(audit.remedies)}." if audit.remedies else ""
 
 
 def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
@@ -66,7 +67,7 @@ def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
 
 
 def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
-    """Print the audits, with the distances of other engines `beside` them (m, by name)."""
+    """Print the audits, with the prices of other engines `beside` them (m, by name)."""
     for audit in audits:
         for text in (headline(audit), named(audit), pushed(audit), remedies(audit)):
             paragraph(text)
@@ -82,7 +83,7 @@ def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
         for audit in audits
     ]
     rows += [(name, f"{1e3 * price:.2f}", "(not probed)") for name, price in beside.items()]
-    print_table("Engines", ("engine", "distance, mm", "defects"), rows, numbers=(1,))
+    print_table("Engines", ("engine", "price, mm", "defects"), rows, numbers=(1,))
 
 
 def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
@@ -93,7 +94,11 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
     subtitle = ", ".join(dict.fromkeys(filter(None, (audit.version for audit in audits))))
     lead = [named(first), pushed(first), remedies(first)] if one else [headline(audit) for audit in audits]
     prices = {audit.name: audit.pushed.price for audit in audits} | dict(beside)
-    body = picture(prices_figure(prices), "Mean distances of engines from Coulomb's law.", wide=True)
+    body = picture(
+        prices_figure(prices),
+        "Prices of engines: mean distances of pushes' ends from Coulomb's law.",
+        wide=True,
+    )
     body += table(_COLUMNS, overview(audits), numbers=(1, 2, 3))
     sections = [Section("engines", "Engines", body)]
     sections += [_section(audit, number) for number, audit in enumerate(audits)]
@@ -141,7 +146,7 @@ def _section(audit: Audit, number: int) -> Section:
         ]  # fmt: skip
         body += table(
             ("effect", "left, mm", "fitted"), rows, numbers=(1,),
-            caption="Effects that reduce the distance, fitted with the maps held fixed.",
+            caption="Effects that lower the price, fitted with the maps held fixed.",
         )  # fmt: skip
     return Section(f"engine-{number}", audit.name, body)
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipmap.diagrams.application.figures import correlation_figure, error_figure, residual_figures
+from slipmap.diagrams.application.figures.push_figures import MODEL_COLOURS
 from slipmap.diagrams.application.figures.residual_figures import pattern_of
 from slipmap.diagrams.application.reports import comparison_words as words
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
@@ -40,6 +41,8 @@ _BASELINES = ("spread, mm", "uniform, mm", "no motion, mm")
 _FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
 """Field pictures, and the factors that they show."""
 
+_CURVES = "Pale dots: pushes. Bars: means over pushes with 95 % intervals. Band: negligible residuals."
+
 _MOSTLY_UNSEEN = (
     "The model did not learn from most of these pushes. Errors of its maps affect all of them and can"
     " appear as patterns too; learn from these pushes to distinguish such errors from missing physics."
@@ -57,8 +60,8 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
         ValueError: none or more than two models, or models over different pushes.
     """
     first = comparisons[0]
-    learnt = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
-    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
+    learned = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
+    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learned}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model and measurement"
     headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
@@ -288,10 +291,26 @@ def _structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) 
         fields = {key: figure for key, figure in chosen.items() if key.split(".")[1] in _FIELDS}
         curves = {key: figure for key, figure in chosen.items() if key not in fields}
         parts.append(f"<h3>{title}</h3>")
-        for group, kind in ((fields, "fields"), (curves, "curves")):
+        for group, kind in (
+            (fields, "fields pairs" if len(comparisons) > 1 else "fields"),
+            (curves, "curves"),
+        ):
             shown = [_figure(key, figure, comparisons, title) for key, figure in group.items()]
+            if group is curves and shown:
+                parts.append(f"{_legend(comparisons)}<p class=note>{_CURVES}</p>")
             parts.append(f'<div class="pictures {kind}">{"".join(shown)}</div>')
     return Section("where", "Where it fails", "\n".join(parts))
+
+
+def _legend(comparisons: Sequence[Comparison]) -> str:
+    """Colours of the models, if there are several."""
+    if len(comparisons) < 2:
+        return ""
+    entries = zip(comparisons, MODEL_COLOURS, strict=False)
+    items = [
+        f'<span><i style="border-color: {colour}"></i>{escape(one.label)}</span>' for one, colour in entries
+    ]
+    return f'<div class="legend">{"".join(items)}</div>'
 
 
 def _pattern_table(comparison: Comparison, *, named: bool) -> str:

@@ -175,12 +175,12 @@ def findings(results: Sequence[Comparison]) -> list[str]:
     """The findings on one model, or on two over the same pushes, one paragraph each."""
     if len(results) == 1:
         return [summary(results[0]), finding(results[0])]
-    learnt = (
+    learned = (
         "Both models were learned as in `slipmap fit`, which treats the errors within a push as correlated."
         " `slipmap identify`, and `slipmap compare` without --effect, treat every measured pose as"
         " independent, so their model differs a little from the one without effects here."
     )
-    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results), learnt]
+    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results), learned]
 
 
 def sentence_part(pattern: Pattern) -> str:

@@ -74,8 +74,8 @@ def compared(
     if diagnosis.with_effects is not None:
         models.append((phrases.after_label(diagnosis), diagnosis.with_effects))
     return [
-        compare(pushes, learnt.belief, seed=diagnosis.seed, label=label, progress=progress)
-        for label, learnt in models
+        compare(pushes, learned.belief, seed=diagnosis.seed, label=label, progress=progress)
+        for label, learned in models
     ]
 
 

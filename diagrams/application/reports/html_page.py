@@ -52,12 +52,13 @@ def page(
         raise ValueError(f"report: section keys must differ, got {', '.join(keys)}")
     scripts = dict.fromkeys(section.script for section in sections if section.script)
     data = {section.key: plain(section.data) for section in sections if section.data}
+    paragraphs = "\n".join(f"<p>{_words(text)}</p>" for text in lead)
     parts = {
         "title": escape(title),
         "subtitle": escape(subtitle),
         "style": part("style.css"),
         "headline": f'<p class="headline">{_words(headline)}</p>' if headline else "",
-        "lead": "\n".join(f"<p>{_words(text)}</p>" for text in lead),
+        "lead": f'<div class="lead">\n{paragraphs}\n</div>' if lead else "",
         "links": "\n".join(f'<a href="#{s.key}">{escape(s.title)}</a>' for s in sections),
         "sections": "\n".join(
             f'<section id="{s.key}">\n<h2>{escape(s.title)}</h2>\n{s.body}\n</section>' for s in sections

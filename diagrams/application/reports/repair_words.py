@@ -57,7 +57,7 @@ def _errors(judged: Sequence[Judged]) -> str:
     off = 1e3 * median(push.error for push in judged)
     share = median(push.error / push.moved for push in judged)
     count = f"{len(judged)} push{'es' * (len(judged) > 1)}"
-    return f"{count} ended {off:.1f} mm off (median), {share:.0%} of how far they moved the object"
+    return f"{count} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved the object"
 
 
 def _names(effects: Sequence[str]) -> str:

@@ -223,9 +223,10 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
     Args:
         doubted: whether the predictions are too far off, see `is_doubted`.
     """
+    criterion = "interval under half as wide as without them, or, of an effect, excluding its zero"
     condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"
     for by_pushes, title in (
-        (True, f"{condition} by these pushes (interval under half as wide as without them), or given"),
+        (True, f"{condition} by these pushes ({criterion}), or given"),
         (False, "Left open by these pushes: the prior decides"),
     ):
         rows = [

@@ -47,9 +47,9 @@ def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
     return replace(dataset, trials=trials)
 
 
-def locked_errors(learnt: Identification) -> LockedErrors | None:
+def locked_errors(learned: Identification) -> LockedErrors | None:
     """Errors of a belief on the pushes held out from it; None where there are none."""
-    errors = [push.errors for push in learnt.pushes if push.role == "heldout"]
+    errors = [push.errors for push in learned.pushes if push.role == "heldout"]
     if not errors:
         return None
     names = ("mean_add", "final_add", "misfit")

@@ -121,7 +121,7 @@ def diagnose(
     before = locked_errors(without)
 
     def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
-        """An answer without rivals that the locked pushes contradict, and what is learnt with the rest."""
+        """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
         with_each = {
             outcomes.name_of(rival): learn(
                 divided, everything, rival, seed=seed, report=about("with effects", report)
@@ -136,24 +136,24 @@ def diagnose(
         kept = outcomes.without_those_objected_to(answer, objections, inquiry.base, inquiry.first)
         return kept, [with_each[outcomes.name_of(rival)] for rival in kept.rivals]
 
-    outcome, learnt = judged(outcome)
+    outcome, learned = judged(outcome)
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
         again = inquiry.by_evidence(divided, seed)
-        found, with_it = judged(again) if again is not None else (outcome, learnt)
+        found, with_it = judged(again) if again is not None else (outcome, learned)
         if found.rivals:
-            outcome, learnt = found, with_it
+            outcome, learned = found, with_it
             inquiry.accepted = list(found.effects)
     misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
     if misfit is not None and outcome.verdict == "adequate":
         outcome = outcomes.far_off(inquiry.base, misfit)
     return Diagnosis(
         **vars(outcome),
-        candidates=tuple(inquiry.candidates(learnt)),
+        candidates=tuple(inquiry.candidates(learned)),
         p_value=inquiry.p_value,
         open_trials=tuple(o.trial for o in observations),
         locked=tuple(locked),
         without_effects=without,
-        with_effects=learnt[0] if learnt else None,
+        with_effects=learned[0] if learned else None,
         base=inquiry.base,
         motion_error=inquiry.error.motion,
         force_error=inquiry.error.force,
@@ -180,7 +180,7 @@ class Inquiry:
         report: Progress,
     ) -> None:
         measured = any(observation.sliding.any() for observation in observations)
-        # Without measured forces, nothing can be learnt about the force sensor.
+        # Without measured forces, nothing can be learned about the force sensor.
         effects = tuple(effect for effect in effects if measured or not effect.only_force)
         self.effects = effects
         self.fault = fault_of_frame(dataset, dataset.trials)
@@ -376,10 +376,10 @@ class Inquiry:
             return None
         return outcomes.one_of([fitted])
 
-    def candidates(self, learnt: Sequence[Identification]) -> list[CandidateResult]:
-        """All named candidates, best first; those in the answer carry the parameters that were learnt."""
+    def candidates(self, learned: Sequence[Identification]) -> list[CandidateResult]:
+        """All named candidates, best first; those in the answer carry the parameters that were learned."""
         told: dict[str, tuple[ParameterEstimate, ...]] = {}
-        for one in learnt:
+        for one in learned:
             told = estimates_by_effect(one) | told
         results = []
         for i, effect in enumerate(self.first.candidates):

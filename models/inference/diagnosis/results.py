@@ -41,14 +41,14 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     return tuple(ParameterEstimate(*names, *own) for names, own in zip(every, numbers, strict=True))
 
 
-def estimates_by_effect(learnt: Identification) -> dict[str, tuple[ParameterEstimate, ...]]:
-    """Parameters of each effect learnt with a belief, with their 90 % intervals."""
+def estimates_by_effect(learned: Identification) -> dict[str, tuple[ParameterEstimate, ...]]:
+    """Parameters of each effect learned with a belief, with their 90 % intervals."""
     return {
         effect: tuple(
             ParameterEstimate(effect, name, v["unit"], v["value"], v["low"], v["high"])
             for name, v in parameters.items()
         )
-        for effect, parameters in learnt.effect_estimates.items()
+        for effect, parameters in learned.effect_estimates.items()
     }
 
 

@@ -254,7 +254,7 @@ class _Ground:
         if not self.locked:
             return None
         dataset, slider = self.taught.dataset, prior.slider
-        belief = Belief.learnt(
+        belief = Belief.learned(
             dataset, slider, prior.maps(z[None]), np.ones(1), method="gauss-newton", seed=seed,
             trials=[o.trial for o in self.taught.observations], settings={},
         )  # fmt: skip

@@ -242,7 +242,7 @@ def with_better_predictors(
 
 def objection(
     effects: Sequence[Effect],
-    learnt: Identification,
+    learned: Identification,
     rough: bool,
     before: LockedErrors | None,
     after: LockedErrors | None,
@@ -251,13 +251,13 @@ def objection(
 
     Args:
         effects: of the answer.
-        learnt: with them, from the open pushes.
+        learned: with them, from the open pushes.
         rough: whether pushes scatter, or the answer is faint, so that locked pushes may improve by chance.
         before: errors of the locked pushes without the effects.
         after: the same with them.
     """
     for effect in effects:
-        if holds_null(effect, learnt):
+        if holds_null(effect, learned):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
             return f"{whose} 90 % interval is consistent with no effect at all"
     if locked_pushes_object(rough, before, after):
@@ -271,9 +271,9 @@ STAYS_OFF = "the locked pushes are predicted as badly with it as without"
 """The objection of `locked_pushes_stay_off`."""
 
 
-def holds_null(effect: Effect, learnt: Identification) -> bool:
+def holds_null(effect: Effect, learned: Identification) -> bool:
     """Whether the 90 % interval of each of an effect's amplitudes contains its null (no effect)."""
-    told = learnt.effect_estimates[effect.name]
+    told = learned.effect_estimates[effect.name]
     amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]
     return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
 

@@ -147,6 +147,9 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}"):
             if column in bare:
                 return "angle", (bare[column],)
+    plain = bare.get(stem.rstrip("._"), "")  # such as block_deg beside block_x_mm
+    if _unit(plain, "angle"):
+        return "angle", (plain,)
     alone = [name for name in names if re.search(r"(^|[._])[qQ]w$|[qQ]uat\w*[._]w$", name)]
     if len(alone) == 1:  # the only one in the table, whatever its name
         columns = tuple(alone[0][:-1] + axis for axis in "xyzw")

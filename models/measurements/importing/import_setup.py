@@ -120,7 +120,9 @@ def parse_import_setup(
         usual, unit = _usual(name, columns)
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
-        raise DatasetError(f"{where}: `object_pose` is null; nothing can be learnt without the object's pose")
+        raise DatasetError(
+            f"{where}: `object_pose` is null; nothing can be learned without the object's pose"
+        )
     return ImportSetup(setup, channels, tuple(warnings))
 
 

@@ -485,9 +485,9 @@ def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
     if free is None:
         return trial, ["ft_wrench: no rows before touch, so its bias is unknown and nothing was taken off"]
     bias, error, count = free
-    size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
     if not bias_matters(bias, error, force):
-        return trial, [f"ft_wrench: reads {size}, which is no significant bias; left as it is"]
+        return trial, ["ft_wrench: no significant bias before touch; left as it is"]
+    size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
     values = force.values - np.append(bias, 0.0)
     return replace(trial, ft_wrench=Channel(force.time, values)), [f"ft_wrench: bias {size} taken off"]
 

@@ -40,7 +40,7 @@ from tests.made_predictions import region_left_by
 
 
 @pytest.fixture(scope="module")
-def learnt(demo_folder):
+def learned(demo_folder):
     """The demo's pushes, and what its belief makes of them."""
     dataset = read_dataset(demo_folder / "demo" / "pushes")
     belief = Belief.load(demo_folder / "demo" / "belief.npz")
@@ -48,14 +48,14 @@ def learnt(demo_folder):
 
 
 @pytest.fixture(scope="module")
-def single(learnt):
-    dataset, _, result = learnt
+def single(learned):
+    dataset, _, result = learned
     return Page(report([result], dataset)), report([result], dataset)
 
 
 @pytest.fixture(scope="module")
-def both(learnt):
-    dataset, belief, before = learnt
+def both(learned):
+    dataset, belief, before = learned
     heavier = replace(belief, maps=replace(belief.maps, mu_finger=0.3 * belief.maps.mu_finger))
     return [replace(before, label="before"), compare(dataset, heavier, label="after")]
 
@@ -64,17 +64,17 @@ def test_the_page_needs_nothing_else(single):
     assert_alone(single[1])
 
 
-def test_the_page_begins_with_what_was_found(single, learnt):
+def test_the_page_begins_with_what_was_found(single, learned):
     parsed, _ = single
-    _, _, result = learnt
+    _, _, result = learned
     assert parsed.text.index(summary(result)) < parsed.text.index("Prediction errors")
     assert finding(result) in parsed.text
     assert f"{1e3 * result.totals['heldout'].model.final_add:.1f} mm" in summary(result)
 
 
-def test_the_page_holds_every_push_with_its_course(single, learnt):
+def test_the_page_holds_every_push_with_its_course(single, learned):
     parsed, _ = single
-    dataset, _, result = learnt
+    dataset, _, result = learned
     (kind, text), _ = parsed.scripts
     data = json.loads(text)["pushes"]
     assert kind == "application/json"
@@ -87,8 +87,8 @@ def test_the_page_holds_every_push_with_its_course(single, learnt):
     assert result.pushes[data["first"]].role == "heldout"
 
 
-def test_the_page_is_legible_in_a_browser(single, both, learnt, browser, tmp_path):
-    for name, text in (("one", single[1]), ("two", report(both, learnt[0]))):
+def test_the_page_is_legible_in_a_browser(single, both, learned, browser, tmp_path):
+    for name, text in (("one", single[1]), ("two", report(both, learned[0]))):
         page = tmp_path / f"{name}.html"
         page.write_text(text, encoding="utf-8")
         seen = browser.opened(page, 'document.querySelector(".course path") ? document.images.length : null')
@@ -96,8 +96,8 @@ def test_the_page_is_legible_in_a_browser(single, both, learnt, browser, tmp_pat
         assert seen.answer > 10
 
 
-def test_two_models_stand_side_by_side(both, learnt):
-    parsed = Page(report(both, learnt[0]))
+def test_two_models_stand_side_by_side(both, learned):
+    parsed = Page(report(both, learned[0]))
     data = json.loads(parsed.scripts[0][1])["pushes"]
     assert data["labels"] == ["before", "after"]
     assert all(len(push["predicted"]) == len(push["add"]) == 2 for push in data["pushes"])
@@ -107,12 +107,12 @@ def test_two_models_stand_side_by_side(both, learnt):
         assert f"{1e3 * error:.1f} mm" in summary_of_two(*both)
 
 
-def test_models_over_different_pushes_are_refused(both, learnt):
+def test_models_over_different_pushes_are_refused(both, learned):
     fewer = replace(both[1], pushes=both[1].pushes[:-1])
     with pytest.raises(ValueError, match="same pushes"):
-        report([both[0], fewer], learnt[0])
+        report([both[0], fewer], learned[0])
     with pytest.raises(ValueError, match="one model or two"):
-        report([*both, both[0]], learnt[0])
+        report([*both, both[0]], learned[0])
 
 
 def test_sections_of_other_commands_fit_in_and_cannot_break_the_page():
@@ -137,17 +137,17 @@ def test_the_script_is_javascript(tmp_path):
     subprocess.run([node, "--check", tmp_path / "pushes.js"], check=True, capture_output=True)
 
 
-def test_few_pushes_are_told_as_such(learnt):
-    _, _, result = learnt
+def test_few_pushes_are_told_as_such(learned):
+    _, _, result = learned
     assert not result.testable
     assert "4 pushes cannot show whether" in finding(result)
     assert f"at least {pushes_needed(len(result.structure))}" in finding(result)
     assert pushes_needed(20) == 10  # 20 tests × 2/2^10 is the first below 5 %
 
 
-def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_told(learnt):
+def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_told(learned):
     """It is no "pattern beyond chance", and it is not passed over: the ratios are named, and what to do."""
-    dataset, _, result = learnt
+    dataset, _, result = learned
     assert headline(result) == ""
     quiet = tuple(replace(pattern, p=0.5, p_corrected=1.0, pushes=12) for pattern in result.structure)
     totals, floor = result.totals["heldout"], result.floor
@@ -168,8 +168,8 @@ def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_tol
     assert headline(fine) == "" and "no significant pattern" in finding(fine)
 
 
-def test_a_push_that_surprises_stands_in_the_headline(learnt):
-    dataset, _, result = learnt
+def test_a_push_that_surprises_stands_in_the_headline(learned):
+    dataset, _, result = learned
     last = result.pushes[-1]
     off = replace(last, end_region=region_left_by(9.0, last.measured[-1]))
     found = replace(result, pushes=(*result.pushes[:-1], off))
@@ -183,18 +183,18 @@ def test_a_push_that_surprises_stands_in_the_headline(learnt):
     assert told["trial"] == last.trial and told["excess"] == pytest.approx(9.0)
 
 
-def test_patterns_in_words(learnt):
-    pattern = replace(learnt[2].structure[0], quantity="force", factor="table_drift", p_corrected=0.001)
+def test_patterns_in_words(learned):
+    pattern = replace(learned[2].structure[0], quantity="force", factor="table_drift", p_corrected=0.001)
     down = replace(pattern, strongest="towards table y", size=-0.1)
     assert sentence_part(down) == "the force is off everywhere, towards table -y (10 %)"
     late = replace(pattern, quantity="delay", factor="delay", size=0.06)
     assert sentence_part(late) == "measured poses come 60 ms late"
-    found = finding(replace(learnt[2], structure=(down, late)))
+    found = finding(replace(learned[2], structure=(down, late)))
     assert found == f"The remaining error has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
 
 
-def test_long_names_of_pushes_stand_whole_below_their_errors(learnt):
-    result = learnt[2]
+def test_long_names_of_pushes_stand_whole_below_their_errors(learned):
+    result = learned[2]
     long = [
         replace(push, observation=replace(push.observation, trial=f"a_push_of_a_long_name_{k}.csv"))
         for k, push in enumerate(result.pushes)
@@ -207,8 +207,8 @@ def test_long_names_of_pushes_stand_whole_below_their_errors(learnt):
         assert min(label.get_window_extent().y0 for label in labels) >= 0
 
 
-def test_figures_are_figures_and_refuse_what_is_not_there(both, learnt):
-    dataset, _, result = learnt
+def test_figures_are_figures_and_refuse_what_is_not_there(both, learned):
+    dataset, _, result = learned
     figures = residual_figures(both, dataset)
     assert {"motion.table_place", "motion.table_place.second", "force.contact_place", "motion.speed"} <= set(
         figures
@@ -230,35 +230,57 @@ def test_figures_are_figures_and_refuse_what_is_not_there(both, learnt):
             draw()
 
 
-def test_two_models_have_one_scale(both, learnt):
+def test_two_models_have_one_scale(both, learned):
     """A model whose errors are ten times as large: arrows and colours tell it from the other."""
     first, second = both
     worse = replace(second, motion=replace(second.motion, values=10 * second.motion.values))
-    figures = residual_figures([first, worse], learnt[0])
+    figures = residual_figures([first, worse], learned[0])
     for name in ("motion.table_place", "motion.contact_place"):
         one, other = figures[name], figures[f"{name}.second"]
         assert one.axes[1].get_ylim() == other.axes[1].get_ylim()
         scales = [[text.get_text() for text in figure.axes[0].texts] for figure in (one, other)]
         assert scales[0] == scales[1]
-    alone = residual_figures([first], learnt[0])["motion.table_place"]
+    alone = residual_figures([first], learned[0])["motion.table_place"]
     assert alone.axes[1].get_ylim()[1] < figures["motion.table_place"].axes[1].get_ylim()[1]
 
 
-def test_curves_show_means_over_pushes(learnt):
+def test_the_worse_of_two_models_is_drawn_whole(both, learned):
+    """In curves and in fields, in whichever order the models come."""
+    first, second = both
+    worse = replace(second, motion=replace(second.motion, values=10 * second.motion.values))
+    for pair in ([first, worse], [worse, first]):
+        for factor in CONDITIONS:
+            axes = factor_figure(pair, factor).axes[0]
+            low, high = axes.get_ylim()
+            drawn = np.concatenate(
+                [line.get_ydata() for line in axes.get_lines() if line.get_marker() in (".", "o")]
+            )
+            bars = [bar for entry in axes.containers for bar in entry.lines[2][0].get_segments()]
+            drawn = np.concatenate([drawn, *(bar[:, 1] for bar in bars)])
+            assert low <= drawn.min() and drawn.max() <= high, factor
+        figures = residual_figures(pair, learned[0])
+        for name in ("motion.table_place", "motion.contact_place"):
+            views = [(axes.get_xlim(), axes.get_ylim()) for axes in
+                     (figures[name].axes[0], figures[f"{name}.second"].axes[0])]  # fmt: skip
+            assert views[0] == views[1]
+        assert figures["motion.table_place"].axes[0].get_title(loc="left").endswith(pair[0].label)
+
+
+def test_curves_show_means_over_pushes(learned):
     """Dots of a curve: each push once in each bin, at the mean of its pieces there."""
-    result = learnt[2]
+    result = learned[2]
     motion = result.motion
     component = next(p for p in result.structure if (p.factor, p.quantity) == ("order", "motion")).strongest
     axes = factor_figure([result], "order").axes[0]
-    assert axes.get_title(loc="left").endswith(component.split(", ")[0])
+    assert axes.get_title(loc="left").lower() == component.split(", ")[0].lower()
     dots = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
     assert len(dots) == len(np.unique(motion.at.push))
     assert set(CONDITIONS) == {"speed", "table_direction", "object_direction", "phase", "time", "order"}
 
 
-def test_a_few_pushes_still_have_means_over_their_order(learnt):
+def test_a_few_pushes_still_have_means_over_their_order(learned):
     """Pushes stand where they were made; those in a row share a bin, which so has a mean and an interval."""
-    result = learnt[2]
+    result = learned[2]
     pushes = np.unique(result.motion.at.push)
     axes = factor_figure([result], "order").axes[0]
     places = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
@@ -266,13 +288,13 @@ def test_a_few_pushes_still_have_means_over_their_order(learnt):
     assert len(axes.containers) == max(1, len(pushes) // 3)
 
 
-def test_no_arrow_leaves_its_picture(learnt):
+def test_no_arrow_leaves_its_picture(learned):
     """Short pushes at the corners of a square, whose residuals all point outwards."""
-    motion = learnt[2].motion
+    motion = learned[2].motion
     place = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])[motion.at.push]
     values = np.column_stack([motion.scale[motion.at.push][:, None] * place, np.zeros(len(place))])
     outwards = replace(motion, at=replace(motion.at, place=place), values=values)
-    axes = table_figure(replace(learnt[2], motion=outwards)).axes[0]
+    axes = table_figure(replace(learned[2], motion=outwards)).axes[0]
     arrows = next(drawn for drawn in axes.collections if isinstance(drawn, Quiver))
     tips = arrows.XY + np.column_stack([arrows.U, arrows.V])
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()

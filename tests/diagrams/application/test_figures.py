@@ -19,6 +19,7 @@ from slipmap.diagrams.application.figures import (
     calibration_figure,
     effect_figure,
     maps_figure,
+    measured_figure,
     push_figures,
     save,
 )
@@ -190,6 +191,16 @@ def test_all_panels_of_a_page_have_one_scale(belief):
     (figure,) = push_figures(predictions, dataset)
     spans = {round(float(np.diff(axes.get_xlim())[0]), 9) for axes in figure.axes}
     assert len(spans) == 1
+
+
+def test_only_what_was_measured_has_axes(belief):
+    """Table and gap, and force over time where a push has it."""
+    _, dataset = pushes_of(belief, 2)
+    bare = replace(dataset, trials=tuple(replace(trial, ft_wrench=None) for trial in dataset.trials))
+    assert [axes.get_ylabel() for axes in measured_figure(dataset).axes] == ["y, m", "gap, mm", "force, N"]
+    alone = measured_figure(bare).axes
+    assert [axes.get_ylabel() for axes in alone] == ["y, m", "gap, mm"]
+    assert alone[1].get_xlabel().startswith("time")
 
 
 def test_holes_are_part_of_an_outline_and_turn_with_it():

@@ -25,9 +25,9 @@ def test_a_dataset_is_not_written_over(slipmap, tilted_folder, tmp_path):
 
 def test_a_belief_and_a_result_are_not_written_over_each_other(slipmap, tilted_folder, tmp_path):
     belief = tmp_path / "belief.npz"
-    belief.write_bytes(b"learnt")
+    belief.write_bytes(b"learned")
     said = slipmap("predict", tilted_folder, "--belief", belief, "-o", tmp_path / "p.png", "--json", belief)
-    assert said.code == 2 and "--json" in said.err and belief.read_bytes() == b"learnt"
+    assert said.code == 2 and "--json" in said.err and belief.read_bytes() == b"learned"
     said = slipmap("identify", tilted_folder, "-o", tmp_path / "new.npz", "--json", tmp_path / "new.npz")
     assert said.code == 2 and "give each its own file" in " ".join(said.err.split())
     assert not (tmp_path / "new.npz").exists()

@@ -35,8 +35,8 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
     assert first.startswith("After push 5, diagnosis: Too little is seen.")
     assert first.endswith("made another push to find out.")
     assert second.endswith("lacks one effect: table_tilt. From then on, the model included table_tilt.")
-    assert "3 pushes ended 24.0 mm off (median), 24% of how far they moved the object" in third
-    assert "with table_tilt, 3 pushes ended 4.0 mm off (median), 4% of how" in third
+    assert "3 pushes ended 24.0 mm off (median), 24 % of how far they moved the object" in third
+    assert "with table_tilt, 3 pushes ended 4.0 mm off (median), 4 % of how" in third
 
 
 def test_without_an_effect_no_fall_is_claimed():

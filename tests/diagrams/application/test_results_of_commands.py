@@ -26,8 +26,8 @@ def test_demo_leaves_a_dataset_a_belief_pictures_and_json(demo_folder):
     ]
     dataset = read_dataset(demo_folder / "demo" / "pushes")
     assert (len(dataset.fit_trials), len(dataset.heldout_trials)) == (3, 1)
-    learnt = Belief.load(demo_folder / "demo" / "belief.npz")
-    assert (learnt.fingerprint, len(learnt)) == (dataset.fingerprint, 20)
+    learned = Belief.load(demo_folder / "demo" / "belief.npz")
+    assert (learned.fingerprint, len(learned)) == (dataset.fingerprint, 20)
 
 
 def test_demo_pictures_show_something(demo_folder):

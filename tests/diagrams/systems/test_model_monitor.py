@@ -223,12 +223,12 @@ def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors
     assert told.universes is not None
     error = ErrorModel(pose_noise(5e-4, 4e-3), 0.03, 0.0)
     belief, poses = told.universes.belief, told.universes.poses
-    learnt = replace(belief, settings={**belief.settings, "end_errors": [0.3, 0.3]})
+    learned = replace(belief, settings={**belief.settings, "end_errors": [0.3, 0.3]})
     elsewhere = told.end + np.array([0.02, 0.0, 0.0])
     assert not resting_region(told.start, poses, belief, error).holds(elsewhere)
-    region = resting_region(told.start, poses, learnt, error)
+    region = resting_region(told.start, poses, learned, error)
     assert region.holds(elsewhere)
-    sigma = end_deviations(learnt, told.start, poses, error.noise)
+    sigma = end_deviations(learned, told.start, poses, error.noise)
     same = EndRegion.of(poses, belief.probability, sigma)
     assert np.allclose(region.covariance, same.covariance)
 

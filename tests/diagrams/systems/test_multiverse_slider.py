@@ -41,7 +41,7 @@ def push_at(time: float) -> Any:
     return SimpleNamespace(push_id=8) if time > lasts(FIRST) + PAUSE - 0.5 * H else None
 
 
-def learnt(effects: list[str], values: list[float]) -> Belief:
+def learned(effects: list[str], values: list[float]) -> Belief:
     belief = block_belief(5)
     maps = belief.maps
     rows = np.array(values) * np.linspace(0.5, 1.5, 5)[:, None]
@@ -52,8 +52,8 @@ def learnt(effects: list[str], values: list[float]) -> Belief:
 
 BELIEFS = {
     "plain": block_belief(5),
-    "loose_mass": learnt(["loose_mass"], [0.3, 15.0, 0.2]),
-    "late": learnt(["sensor_latency", "tracker_offset"], [0.05, 0.002, -0.001, 0.02]),
+    "loose_mass": learned(["loose_mass"], [0.3, 15.0, 0.2]),
+    "late": learned(["sensor_latency", "tracker_offset"], [0.05, 0.002, -0.001, 0.02]),
 }
 
 

@@ -255,7 +255,7 @@ def test_a_push_is_looked_into_and_may_ask_for_more():
     assert loop.step(trials=(object(),)).mode == "learning"
     assert loop.step(learned=1).mode == "diagnosing"
     assert loop.step().mode == "diagnosing"
-    # The answer adds an effect, with which all is learnt anew, and asks for a push to try it.
+    # The answer adds an effect, with which all is learned anew, and asks for a push to try it.
     assert loop.step(repair=Repair(1, ("table_tilt",), wanted=2), learned=0).mode == "diagnosing"
     assert mode(loop.step(learned=1)) == ("looking", 1, 0)
     loop.begin_push()

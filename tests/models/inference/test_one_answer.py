@@ -16,7 +16,7 @@ def dataset():
 
 
 @pytest.fixture(scope="module")
-def learnt(dataset):
+def learned(dataset):
     return slipmap.identify(dataset, seed=5)
 
 
@@ -25,14 +25,14 @@ def fitted(dataset):
     return slipmap.fit(dataset, ["table_tilt"], seed=5)
 
 
-def test_every_door_says_the_same_without_effects(dataset, learnt, fitted):
-    ends = learnt.errors("heldout")
-    paths = np.array([push.errors.mean_add for push in learnt.pushes if push.role == "heldout"])
+def test_every_door_says_the_same_without_effects(dataset, learned, fitted):
+    ends = learned.errors("heldout")
+    paths = np.array([push.errors.mean_add for push in learned.pushes if push.role == "heldout"])
     assert ends.min() > 0
     assert fitted.without_effects.errors("heldout").tolist() == ends.tolist()
     compared = slipmap.compare(dataset, seed=5).totals["heldout"].model
     assert (compared.final_add, compared.mean_add) == (ends.mean(), paths.mean())
-    predicted = slipmap.predict(learnt.belief, dataset)
+    predicted = slipmap.predict(learned.belief, dataset)
     assert [push.final_add for push in predicted if push.role == "heldout"] == ends.tolist()
     before, _ = slipmap.compare_with_effects(dataset, ["table_tilt"], seed=5)
     assert before.totals["heldout"].model.final_add == ends.mean()
@@ -60,8 +60,8 @@ def test_the_ratio_of_misfits_is_paired_over_pushes():
     assert alone.verdict == "undecided" and alone.to_json()["high"] is None
 
 
-def test_ends_and_their_intervals_are_told(learnt):
-    for push, told in zip(learnt.pushes, learnt.to_json()["trials"], strict=True):
+def test_ends_and_their_intervals_are_told(learned):
+    for push, told in zip(learned.pushes, learned.to_json()["trials"], strict=True):
         low, high = np.array(told["predicted_end_low"]), np.array(told["predicted_end_high"])
         assert told["measured_end"] == push.measured[-1].tolist()
         assert told["predicted_end"] == push.predicted[-1].tolist()

@@ -1,17 +1,35 @@
-"""Maps and effects learnt together, against the truth beside a dataset."""
+"""Maps and effects learned together, against the truth beside a dataset."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import yaml
 
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.identifiability import effect_quantities
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import read_dataset
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(0.03, True), (0.009, False)], ids=["clear of zero", "not clear of zero"]
+)
+def test_an_effect_clear_of_its_zero_is_shown_however_wide_its_interval(value: float, shown: bool) -> None:
+    """A tilt that keeps three quarters of its prior's width, with an interval that holds zero or not."""
+    effects = effects_named(["table_tilt"])
+    values = np.array([[value, 0.0], [value, 0.0]])
+    belief = SimpleNamespace(maps=SimpleNamespace(effects=values), probability=np.array([0.5, 0.5]))
+    prior = SimpleNamespace(size=2, plain=0, effect_deviations=lambda hessian: np.array([0.003, 0.003]))
+    information = SimpleNamespace(hessian=[0.8 * np.eye(2)])
+    found = effect_quantities(belief, effects, SimpleNamespace(prior=prior), information)
+    assert [quantity.shown for quantity in found] == [shown, False]
+    assert not shown or found[0].reason.startswith("not 0, where the effect vanishes")
 
 
 def test_intervals_hold_the_truth(shared_data: Path) -> None:

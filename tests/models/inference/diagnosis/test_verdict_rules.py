@@ -71,7 +71,7 @@ TILT, MASS = (
 )
 
 
-def learnt(effect, **intervals):
+def learned(effect, **intervals):
     told = {p.name: {"low": -1.0, "high": 1.0} for p in effect.parameters}
     told |= {name: {"low": low, "high": high} for name, (low, high) in intervals.items()}
     return SimpleNamespace(effect_estimates={effect.name: told})
@@ -87,7 +87,7 @@ def learnt(effect, **intervals):
     ],
 )
 def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
-    own = learnt(effect, **intervals)
+    own = learned(effect, **intervals)
     assert holds_null(effect, own) is holds
     said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds

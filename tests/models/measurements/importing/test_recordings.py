@@ -75,6 +75,15 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
 
 
+@pytest.mark.parametrize("angle", ["block_deg", "block [deg]"])
+def test_a_column_of_degrees_named_after_the_object_is_its_angle(tmp_path, angle):
+    columns = [TIME, 1e3 * POSE[:, :2], np.degrees(POSE[:, 2]), 1e3 * TIP]
+    names = ["time", "block_x_mm", "block_y_mm", angle, "tip_x_mm", "tip_y_mm"]
+    said = yaml.safe_load(guess_setup(written(tmp_path / "p.csv", names, columns)))
+    assert said["object_pose"]["angle"] == angle
+    assert said["object_pose"]["unit"] == {"position": "mm", "angle": "deg"}
+
+
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like an object's pose"):
