@@ -269,8 +269,8 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
             rises = [rise - shift for rise in there]
     if not rises:
         return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "from when it is large", by_touch=False)
-    rise = lag_by_rises(rises, force)
-    return rise._replace(value=coarse + rise.value)
+    lag = lag_by_rises(rises, force)
+    return lag._replace(value=coarse + lag.value)
 
 
 def lag_by_rises(rises: Sequence[float], force: Channel) -> Lag:

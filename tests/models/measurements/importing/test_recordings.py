@@ -82,7 +82,8 @@ def test_a_finger_that_moves_straight_says_nothing_of_up(tmp_path):
     file = written(tmp_path / "p.csv", names, [TIME, POSE[:, :2], height, POSE[:, 2], *tip])
     assert "up:" not in guess_setup(file)
     names[1:4] = "block_z", "block_x", "block_y"
-    file = written(tmp_path / "p.csv", names, [TIME, POSE[:, :2], height, POSE[:, 2], *tip])
+    plane = POSE[:, :1] * [1.0, 0.3]
+    file = written(tmp_path / "p.csv", names, [TIME, plane, height, POSE[:, 2], *tip])
     said = yaml.safe_load(guess_setup(file))
     assert said["object_pose"]["up"] == said["tip_pose"]["up"] == "y"
 
