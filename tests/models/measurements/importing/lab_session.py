@@ -35,6 +35,7 @@ _NOISE_FREE = Noise(None, None, None, None)
 @dataclass(frozen=True)
 class LabSession:
     folder: Path
+    grid: CellGrid
     maps: Maps
     setup: str  # the setup.yaml
 
@@ -97,7 +98,7 @@ ft_wrench:
   unit: {{time: ms}}
   frame: [0, 0, 45 deg]
 """
-    return LabSession(folder, maps, setup)
+    return LabSession(folder, grid, maps, setup)
 
 
 def _from_four_sides(grid: CellGrid, rng: np.random.Generator) -> list[Candidate]:
