@@ -56,9 +56,9 @@ def test_nothing_is_wrong_with_it(imported):
     assert not check.wrong, check.findings
 
 
-# Of fifteen sessions, seeds 0 to 2 and 300 to 311, thirteen hold 1 mm (the others 1.2 and 1.3 mm) and all hold
-# 0.5 % of the total friction; no clock was off by more than 0.2 ms (finger) and 2.2 ms (force). The same pushes
-# recorded on one clock in the table's frame teach no more: what is left is what eight pushes can tell.
+# Of fifteen sessions, seeds 0 to 2 and 300 to 311, thirteen hold 1 mm (the others 1.2 and 1.3 mm) and all
+# hold 0.5 % of the total friction; no clock was off by more than 0.2 ms (finger) and 2.2 ms (force). The same
+# pushes recorded on one clock in the table's frame teach no more: the rest is what eight pushes can tell.
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_learned_is_true(tmp_path, seed):
     session, imported = imported_session(tmp_path, seed)
