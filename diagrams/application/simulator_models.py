@@ -28,6 +28,7 @@ Format = Literal["sdf", "urdf", "mjcf"]
 _ENDINGS: dict[str, str] = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 _FOOT = 1e-3  # m, radius of a foot and gap below the outline
 _HALVINGS = 5  # of the object, to 32 parts of equal mass
+_SOFT = "0.01 0.9 0.001"  # MuJoCo's impedance of a foot: on stiffer ones a pushed object rocks
 DEFAULT_HEIGHT = 0.02  # height of an object where it is not known, m
 LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0  # limits of the height, m; an object stands on feet of 1 mm
 
@@ -235,6 +236,7 @@ def _mjcf(name: str, body: Body, parts: Sequence[FloatArray], height: float) -> 
         _child(
             link, "geom", name=f"{name}_foot_{number}", type="sphere", size=_numbers([_FOOT]),
             pos=_numbers((*place, _FOOT)), friction=_numbers([friction, 0, 0]), condim="3", priority="1",
+            solimp=_SOFT,
         )  # fmt: skip
     return root
 

@@ -23,7 +23,7 @@ _WINDOW = 0.1  # s over which speeds are taken
 _MOVING = 0.3  # share of the 90th percentile of the object's speed
 _SLOWEST = 2e-3  # m/s
 _GAP_ROWS = 3.0  # usual steps without a pose, beyond which rows in the gap are skipped
-_LARGEST_NOISE = 3e-3  # m; larger scatter is not sensor noise
+_LARGEST_NOISE, _LARGEST_TURN = 3e-3, 0.05  # m and rad; larger scatter is not sensor noise
 _BURST = 3.0  # times the mean speed between two poses, at most, while it moves
 _LARGEST_KINK = 1e-3  # m that the object may be off a straight line between two poses, besides noise
 
@@ -108,7 +108,7 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         return None
     pose, tip = trial.object_pose, trial.tip_pose
     begin, end = pose.time[[0, -1]]
-    noise = _position_noise(setup, trial)
+    noise, _ = pose_noise(setup, trial.object_pose)
     if trial.ends_only:
         time = np.array([begin, end])
     else:
@@ -130,14 +130,19 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
     return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses), allowed)
 
 
-def _position_noise(setup: Setup, trial: Trial) -> float:
-    """Standard deviation of a pose's x or y, m: declared, or from the scatter of neighbouring rows."""
-    if setup.noise.position is not None:
-        return setup.noise.position
-    if trial.ends_only:
-        return 0.0
-    scatter = row_noise(trial.object_pose.time, trial.object_pose.values)
-    return min(float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0), _LARGEST_NOISE)
+def pose_noise(setup: Setup, pose: Channel) -> tuple[float, float]:
+    """Standard deviations of a pose's x or y, m, and of its angle, rad: declared, or from the scatter of
+    neighbouring rows."""
+    noise = setup.noise
+    scatter = np.zeros(3)
+    if len(pose.time) > 2 and None in (noise.position, noise.angle):
+        scatter = row_noise(pose.time, pose.values)
+    position = min(float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0), _LARGEST_NOISE)
+    angle = min(float(scatter[2]), _LARGEST_TURN)
+    return (
+        position if noise.position is None else noise.position,
+        angle if noise.angle is None else noise.angle,
+    )
 
 
 def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:
@@ -173,7 +178,8 @@ def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
     step = pose.at(late) - pose.at(early)
     reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
     moved = np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])
-    noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))
+    position, angle = pose_noise(setup, pose)
+    noise = float(np.hypot(position, reach * angle))
     speed = moved / np.maximum(late - early, 1e-9)
     return np.asarray(
         (speed > max(_SLOWEST, _MOVING * float(np.percentile(speed, 90)))) & (moved > 4.0 * noise)

@@ -12,6 +12,7 @@ import shapely
 
 from slipmap.models.geometry import angle_between, rotated, seen_from
 from slipmap.models.measurements import parsing
+from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
     ContactRows,
@@ -28,7 +29,7 @@ from slipmap.models.measurements.importing.clocks import (
     rises_after_touch,
 )
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
-from slipmap.models.measurements.trial_checks import impossible
+from slipmap.models.measurements.trial_checks import impossible, turns_like_degrees
 from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
@@ -46,6 +47,7 @@ _ARCS = 8  # equal parts of the outline's length
 _OCTANTS = 8
 _COASTS = 5e-3  # m that an object moves without the finger
 _AWAY = 2e-3  # m
+_NEAR = 0.02  # m of air that a wrong outline or finger may explain
 _FAST = 0.1  # m/s above which inertia shows
 _SPEEDS = 2.0  # ratio from which speeds count as different
 
@@ -137,12 +139,13 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
     findings = [
         *_rates(dataset),
         *_rows_left_out(dataset),
+        *_jumps(dataset),
         *_clocks(dataset),
         *_impossible(dataset),
         *_depth(dataset, rows),
         *_forces(dataset, rows),
     ]
-    said = [finding.advice for finding in findings if finding.advice]
+    said = [text for finding in findings for text in (finding.found, finding.advice) if text]
     findings += [
         Finding("reading", text, "note")
         for text in dataset.warnings
@@ -216,6 +219,24 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     return found
 
 
+def _jumps(dataset: PushDataset) -> list[Finding]:
+    """A finding if more than a quarter of the tracks jump to another place, or turn like degrees."""
+    found = []
+    for what, told, advice in (
+        ("jumps", lambda pose: sound_rows(pose.time, pose.values)[2], "did the tracker's frame jump?"),
+        (
+            "angles",
+            lambda pose: turns_like_degrees(pose.values),
+            "angles must be in rad; were these degrees?",
+        ),
+    ):
+        texts = [text for trial in dataset.trials if (text := told(trial.object_pose))]
+        if len(texts) > _WRONG_SHARE * len(dataset.trials):
+            text = f"{texts[0]}; in {len(texts)} of {len(dataset.trials)} pushes"
+            found.append(Finding(what, text, "wrong", advice))
+    return found
+
+
 def _clocks(dataset: PushDataset) -> list[Finding]:
     """Clocks of the finger relative to the object, and of the force relative to both, from contact."""
     lags, late = [], []
@@ -225,13 +246,14 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
             continue
         lag = lag_left(dataset, trial.object_pose, trial.tip_pose)
         if lag is not None:
-            lags.append(lag.value)
+            lags.append(lag)
             speed.append(_speed(trial))
         if trial.ft_wrench is not None:
             late += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
     findings = []
     if lags:
-        middle, error = middle_of(lags)
+        middle, error = middle_of([lag.value for lag in lags])
+        error = max(error, float(np.median([lag.error for lag in lags])))
         apart = abs(middle) * float(np.median(speed))
         text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
         advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's"
@@ -294,7 +316,9 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         text += f"; too deep in {deep.sum()} of {len(rows)} pushes"
         return [Finding("contact", text, "wrong", advice)]
     if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
-        return [Finding("contact", text, "note", "is finger.radius, or the outline, too small?")]
+        near = float(np.median(air)) < _NEAR
+        advice = "is finger.radius, or the outline, too small?" if near else "is a frame or a clock wrong?"
+        return [Finding("contact", text, "note", advice)]
     return [Finding("contact", text, "good")]
 
 

@@ -349,15 +349,20 @@ def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str
 
 def _degrees(pose: Channel, where: str) -> list[str]:
     """Warning if raw theta exceeds two turns, or changes by more than one while the object hardly moves."""
+    said = turns_like_degrees(pose.values)
     theta = pose.values[:, 2]
-    path = float(np.sum(np.hypot(*np.diff(pose.values[:, :2], axis=0).T)))
-    swept = float(np.ptp(theta))
-    if np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN or (swept > 1.05 * _WHOLE_TURN and path < 1.0):
-        return [
-            f"{where}, object_pose: theta runs from {theta.min():.3g} to {theta.max():.3g} while the object"
-            f" moves {path:.2g} m. Angles must be in rad; were these degrees?"
-        ]
-    return []
+    if not said and np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN:
+        said = f"theta runs from {theta.min():.3g} to {theta.max():.3g}"
+    return [f"{where}, object_pose: {said}. Angles must be in rad; were these degrees?"] if said else []
+
+
+def turns_like_degrees(values: FloatArray) -> str:
+    """What is odd about poses (T, 3) that turn by more than a turn while they hardly move; else empty."""
+    theta = values[:, 2]
+    path = float(np.sum(np.hypot(*np.diff(values[:, :2], axis=0).T)))
+    if np.ptp(theta) < 1.05 * _WHOLE_TURN or path > 1.0:
+        return ""
+    return f"theta runs from {theta.min():.3g} to {theta.max():.3g} while the object moves {path:.2g} m"
 
 
 def impossible(setup: Setup, trial: Trial) -> Iterator[str]:

@@ -1,5 +1,5 @@
-"""Triangle meshes: reading them upright and in metres, cell grids from silhouettes, solids over an outline,
-and OBJ text with normals for renderers."""
+"""Triangle meshes: reading them, or a link of a URDF or SDF, upright and in metres; cell grids from
+silhouettes, solids over an outline, and OBJ text with normals for renderers."""
 
 import logging
 import re
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 import shapely
@@ -37,6 +38,10 @@ DIRECTIONS = {
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "m": 1.0}
 
+_LOG = logging.getLogger("slipmap.objects")
+_LINKS = (".urdf", ".sdf")
+_LARGEST_LINK = 16 * 2**20  # bytes of a URDF or SDF
+_GAPS = (0.002, 0.005, 0.01, 0.02)  # of the silhouette's extent; wider gaps part two objects
 _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
 _FINEST = 1e-5  # of the silhouette's extent; a point nearer to the line between corners is not a corner
@@ -61,7 +66,8 @@ def cells_from_mesh(
     first turned to z by the smallest rotation (about x for -z); x and y are those of the turned mesh.
 
     Args:
-        mesh: a mesh, or the path of a file that trimesh can load; the parts of a scene are merged.
+        mesh: a mesh, or the path of a file that trimesh can load, or of a URDF or SDF with one link that has
+            geometry; the parts of a scene or link are merged, and gaps of up to 2 % of its size closed.
         count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
         width: side of a cell, m.
         up: (3,) direction away from the table, in the mesh frame; by default that of the file's format.
@@ -152,6 +158,11 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
     source = "mesh"
     if isinstance(mesh, str | PathLike):
         source = f"mesh {Path(mesh)}"
+        if Path(mesh).suffix.lower() in _LINKS:
+            try:
+                return _linked(Path(mesh)), source
+            except (UnreadableFile, ValueError) as error:
+                raise ValueError(f"{source}: {error}") from error
         try:
             check_file(Path(mesh), _LARGEST_FILE)
             logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # the error below says what is wrong
@@ -167,6 +178,104 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
         row = int(np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))[0])
         raise ValueError(f"{source}: vertex {row} is not finite")
     return mesh, source
+
+
+# Links of URDF and SDF files.
+
+
+def _linked(path: Path) -> trimesh.Trimesh:
+    """The only link with geometry of a URDF or SDF, in its own frame, m: its visuals, else its collisions.
+
+    Raises:
+        UnreadableFile: the file cannot be read.
+        ValueError: it is no XML, has several such links or none, or a geometry that cannot be read.
+    """
+    text = read_bounded(path, _LARGEST_LINK)
+    if b"<!ENTITY" in text or b"<!DOCTYPE" in text:
+        raise ValueError("declares XML entities, which are never expanded; remove them")
+    try:
+        root = Xml.fromstring(text)
+    except (Xml.ParseError, ValueError, LookupError) as error:
+        raise ValueError(f"is not XML: {error}") from error
+    links = [link for link in root.iter("link") if link.find("*/geometry") is not None]
+    if len(links) != 1:
+        names = ", ".join(str(link.get("name")) for link in links) or "none"
+        raise ValueError(f"needs one link with geometry, the object; found {names}; leave the others out")
+    shapes = links[0].findall("visual") or links[0].findall("collision")
+    parts = [_shape(shape, path) for shape in shapes]
+    merged = trimesh.util.concatenate(parts)
+    merged.units = "meters"
+    return merged
+
+
+def _shape(shape: Xml.Element, path: Path) -> trimesh.Trimesh:
+    """The mesh of a visual or collision in the link's frame, m."""
+    geometry = shape.find("geometry")
+    kinds = [] if geometry is None else list(geometry)
+    kind = kinds[0].tag if kinds else "nothing"
+    made = kinds[0] if kinds else shape
+    if kind == "mesh":
+        name = made.get("filename") or made.findtext("uri") or ""
+        file = _beside(path, name.strip())
+        if file.suffix.lower() in _LINKS:
+            raise ValueError(f"{name}: is no mesh")
+        loaded, source = _loaded(file)
+        turn = _turn_to_z(DIRECTIONS["y"]) if file.suffix.lower() in (".glb", ".gltf") else np.eye(3)
+        scale = _unit(loaded, None, source) * _numbers(made, "scale", 3, "1 1 1")
+        mesh = trimesh.Trimesh(scale * (loaded.vertices @ turn.T), loaded.faces, process=False)
+    elif kind == "box":
+        mesh = trimesh.creation.box(_numbers(made, "size", 3))
+    elif kind == "cylinder":
+        mesh = trimesh.creation.cylinder(*_numbers(made, "radius", 1), *_numbers(made, "length", 1))
+    elif kind == "sphere":
+        mesh = trimesh.creation.icosphere(4, *_numbers(made, "radius", 1))
+    else:
+        raise ValueError(f"a geometry is {kind}; mesh, box, cylinder and sphere are read")
+    origin, pose = shape.find("origin"), shape.find("pose")
+    if origin is not None:
+        place, angles = _numbers(origin, "xyz", 3, "0 0 0"), _numbers(origin, "rpy", 3, "0 0 0")
+    elif pose is not None:
+        if pose.get("relative_to") or pose.get("degrees", "false") != "false":
+            raise ValueError("a pose is relative_to another frame or in degrees; give it in the link's, rad")
+        place, angles = np.split(_numbers(shape, "pose", 6), 2)
+    else:
+        place = angles = np.zeros(3)
+    mesh.vertices = Rotation.from_euler("xyz", angles).apply(mesh.vertices) + place
+    return mesh
+
+
+def _numbers(element: Xml.Element, name: str, count: int, default: str = "") -> FloatArray:
+    """(count,) finite numbers of an attribute (URDF) or an element (SDF)."""
+    text = element.get(name) or element.findtext(name) or default
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{element.tag}: {name} needs {count} numbers, got {text.strip()[:80]!r}")
+    return numbers
+
+
+def _beside(path: Path, name: str) -> Path:
+    """The file that a URDF or SDF names, in its folder or package.
+
+    Raises:
+        ValueError: it lies elsewhere.
+    """
+    scheme, split, rest = name.partition("://")
+    folders = path.resolve().parents
+    if split and scheme in ("package", "model"):
+        package, _, rest = rest.partition("/")
+        inside = next((folder for folder in folders if folder.name == package), None)
+        base = inside
+    else:
+        marks = ("package.xml", "model.config")
+        inside = next((f for f in folders if any((f / mark).is_file() for mark in marks)), folders[0])
+        base, rest = folders[0], name
+    file = None if base is None or "\0" in name or not rest else (base / rest).resolve()
+    if (split and scheme not in ("package", "model")) or file is None or not file.is_relative_to(str(inside)):
+        raise ValueError(f"{name[:200]!r} is not in the file's folder or package; put the mesh there")
+    return file
 
 
 def _told(error: Exception, path: Path) -> str:
@@ -210,6 +319,10 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     parts = [p for p in getattr(union, "geoms", [union]) if p.area > _SPECK * union.area]
     if len(parts) == 0:
         raise ValueError(f"{source}: the silhouette along `up` has no area")
+    if len(parts) > 1 and (joined := _joined(parts, extent)) is not None:
+        outline, width = joined
+        _LOG.warning("%s: gaps of up to %.2g mm between %d parts closed", source, 1e3 * width, len(parts))
+        parts = [outline]
     if len(parts) > 1:
         boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts)
         raise ValueError(
@@ -219,6 +332,19 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     outline = parts[0].simplify(_FINEST * extent)
     assert isinstance(outline, Polygon)
     return outline
+
+
+def _joined(parts: Sequence[Polygon], extent: float) -> tuple[Polygon, float] | None:
+    """The parts of a convex decomposition in one piece, and the gaps closed, m; None if they are wider."""
+    whole = shapely.union_all(parts)
+    for width in extent * np.array(_GAPS):
+        closed = whole.buffer(0.5 * width, join_style="mitre").buffer(-0.5 * width, join_style="mitre")
+        added = [piece.buffer(_SNAP * extent) for piece in shapely.get_parts(closed.difference(whole))]
+        bridges = [piece for piece in added if sum(piece.intersects(part) for part in parts) > 1]
+        joined = shapely.union_all([whole, *bridges])
+        if isinstance(joined, Polygon):
+            return joined, float(width)
+    return None
 
 
 def shaded_obj(mesh: trimesh.Trimesh) -> str:

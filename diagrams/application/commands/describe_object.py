@@ -57,10 +57,10 @@ def describe_object(
 ) -> None:
     """Describe an object from a mesh or a picture, for --object.
 
-    FILE is a mesh (STL, OBJ, PLY, glTF, COLLADA) or a greyscale picture from above (PNG) with 0 where there
-    is no object. The footprint is the mesh's silhouette from above, and x and y of the upright mesh are the
-    frame of the measured poses. A picture's frame has its origin at the centroid of the object's area, x to
-    the right and y up.
+    FILE is a mesh (STL, OBJ, PLY, glTF, COLLADA), a URDF or SDF with one link, or a greyscale picture from
+    above (PNG) with 0 where there is no object. The footprint is the mesh's silhouette from above, and x and
+    y of the upright mesh are the frame of the measured poses. A picture's frame has its origin at the
+    centroid of the object's area, x to the right and y up.
 
     `identify`, `compare`, `diagnose` and `fit` need the description for CSV files.
     """

@@ -238,6 +238,12 @@ def _check(command: click.Command, arguments: dict[str, Any]) -> None:
         for path in _paths(arguments.get(param.name or "")):
             if isinstance(param.type, OutputFile) or param.name in _FILES_IN_FOLDERS:
                 written.append((param.opts[-1], path))
+                if path.suffix.lower() == ".npz":  # a belief, beside which pictures are drawn
+                    folder = arguments.get("pictures") or path.parent
+                    written += [
+                        (f"a picture of {param.opts[-1]}", folder / f"{path.stem}.{what}.png")
+                        for what in ("maps", "pushes")
+                    ]
             elif param.name not in _FOLDERS:
                 read.append(path)
     for (one, path), (other, same) in combinations(written, 2):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.measurements.contact import gaps
+from slipmap.models.measurements.motion import row_noise
 from slipmap.models.measurements.push_dataset import Channel, Setup
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -27,6 +28,7 @@ _LEAST_TOUCHED = 0.15  # share of the rows of motion; in the others the object m
 _FEWEST_ROWS = 10
 _FIT_ROWS = 1500
 _CALIBRATION = 2e-4  # m by which outline and finger may be thicker than stated
+_RECTIFIED = 0.2  # share of the noise that the outline's corners may turn into a constant gap
 _JITTER = 1e-4  # m, at least
 _SLOWEST = 3e-3  # m/s of a moving object
 _SPANS = (0.1, 0.3, 0.8)  # s over which speeds are taken
@@ -41,6 +43,7 @@ _FEWEST_FREE = 10  # rows
 _SHARE = 0.01  # of the largest force, exceeded by a significant bias,
 _ERRORS = 5.0  # which also exceeds this many standard errors
 _RISE = 0.2  # s around the touch in which the force must rise
+_SHIFTS = (0.0, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3)  # s from the coarse lag at which rises are sought
 _FORCE_STEP = 0.02  # s, step of the coarse search for the force
 _USUAL_ROWS = 1200  # force rows among which frequent values are sought
 _LEAST_CORRELATION = 0.3
@@ -202,14 +205,15 @@ def _refined(
     from scipy.optimize import least_squares
 
     rows = _telling(moving, count)
-    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
-    sigmas = (setup.noise.position or 0.0, setup.noise.tip or 0.0, reach * (setup.noise.angle or 0.0))
-    noise = max(_JITTER, float(np.linalg.norm(sigmas)))
-    most = np.where(moving[rows], _AIR, 0.0)
-    allowed = np.where(moving[rows], 0.0, 3.0 * noise)
-
     # Stamps since 1970 lack the precision for the small steps below.
     near = Channel(tip.time + lag, tip.values)
+    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    sigmas = (setup.noise.position or 0.0, setup.noise.tip or 0.0, reach * (setup.noise.angle or 0.0))
+    time, poses = pose.time[moving], pose.values[moving]
+    scatter = float(row_noise(time, gaps(setup, near.at(time), poses)[:, None])[0])
+    noise = max(_JITTER, scatter, float(np.linalg.norm(sigmas)))
+    most = np.where(moving[rows], _AIR, 0.0)
+    allowed = np.where(moving[rows], 0.0, 3.0 * noise)
 
     def residuals(unknown: FloatArray) -> FloatArray:
         more, thicker = 1e-2 * unknown[0], 1e-3 * unknown[1]
@@ -221,9 +225,9 @@ def _refined(
         residuals, np.full(2, 0.05), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-5, ftol=1e-6
     )
     value = lag + 1e-2 * float(found.x[0])
-    # A thickness of the size of the calibration error would look like this much time.
+    # A thickness of the size of the calibration error would look like this much time, as would the noise.
     speed = float(np.median(np.hypot(*_velocity(pose, moving).T)))
-    error = _CALIBRATION / max(speed, 1e-3)
+    error = float(np.hypot(_CALIBRATION, _RECTIFIED * noise)) / max(speed, 1e-3)
     return Lag(value, error, f"by contact over {int(moving.sum())} rows of motion")
 
 
@@ -256,11 +260,17 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
             best, coarse = float(together[place]) / scale, float(lags[place])
     if coarse is None:
         return None
-    rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
+    touches = _touches(setup, pose, tip)
+    rises: list[float] = []
+    for shift in _SHIFTS:  # forces that fall off late in a push mislead the correlation
+        moved = Channel(force.time + coarse + shift, force.values)
+        there = [rise - touch for touch in touches if (rise := _rise(moved, touch)) is not None]
+        if len(there) > len(rises) and (shift == 0.0 or len(there) > 0.5 * len(touches)):
+            rises = [rise - shift for rise in there]
     if not rises:
         return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "from when it is large", by_touch=False)
-    rise = lag_by_rises(rises, force)
-    return rise._replace(value=coarse + rise.value)
+    lag = lag_by_rises(rises, force)
+    return lag._replace(value=coarse + lag.value)
 
 
 def lag_by_rises(rises: Sequence[float], force: Channel) -> Lag:
@@ -400,7 +410,7 @@ def free_force(
         free &= (after == 0) | (force.time - near[np.maximum(after - 1, 0)] > _SWINGS)
     away = np.hypot(*(tip.values - tip.values[0]).T) > _STARTED
     started = tip.time[np.argmax(away)] if away.any() else tip.time[-1]
-    if float(np.percentile(gap, 1)) < -_DEPTH / 3.0:
+    if not -_DEPTH / 3.0 < float(np.percentile(gap, 1)) < _AIR:
         free[:] = False  # the frames are wrong, so the finger is not where it seems to be
     free |= (force.time < started) & (np.abs(gap) > _APART)
     free &= (force.time >= begin) & (force.time <= end)

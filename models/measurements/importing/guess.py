@@ -23,6 +23,7 @@ _OBJECT = ("object", "obj", "block", "body", "vicon", "marker", "tag", "slider",
 _FORCE = ("force", "wrench", "ft", "netft", "load")
 _MILLIMETRES = 5.0  # above which no position on a table is in m
 _FULL_TURN = 6.6  # rad
+_FLAT = 0.2  # share of the range of other axes in which a height varies
 _SLOWEST = 0.5  # s from row to row; no sensor is slower
 _MOST_CHANGES = 0.1  # share of rows at which a column that numbers pushes changes
 _MOST_FILES = 3  # files of each kind that are examined
@@ -94,8 +95,11 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
         "object: {outline: null}",
         "finger: {radius: null}  # m",
     ]
+    up = _up(pose)
     for name, one in (("object_pose", pose), ("tip_pose", finger), ("ft_wrench", force)):
         lines += _entry(name, one, several=len(patterns) > 1)
+        if up != "z" and one is not None and name != "ft_wrench" and one.file == pose.file:
+            lines.append(f"  up: {up}  # the object's {up} hardly changes")
     return "\n".join(lines) + "\n"
 
 
@@ -236,8 +240,7 @@ def _numbers_pushes(source: Source, column: str) -> bool:
 
 
 def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
-    """Lines for units (mm, degrees, milliseconds), from names or sizes of numbers, and for the axis that
-    points up."""
+    """A line for units (mm, degrees, milliseconds), from names or sizes of numbers."""
     force = name == "ft_wrench"
     known = one.values[np.isfinite(one.values).all(axis=1)]
     named = {"force" if force else "position": _unit(one.columns[0], "force" if force else "position")}
@@ -270,15 +273,18 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
         by = [words for words, group in (("names", named), ("the size of the numbers", sizes.keys() - named))
               if units.keys() & group]  # fmt: skip
         lines.append(f"  unit: {{{said}}}  # by {' and '.join(by)}")
-    if force:
-        return lines
-    if known.shape[1] == 3:
-        spread = np.percentile(known, 95, axis=0) - np.percentile(known, 5, axis=0)
-        flattest = "xyz"[int(np.argmin(spread))]
-        sure = spread.min() < 0.2 * np.median(spread)
-        if sure and flattest != "z":
-            lines.append(f"  up: {flattest}  # its {flattest} hardly changes")
     return lines
+
+
+def _up(pose: _Found) -> str:
+    """The axis of the object's position that points up: z unless another one hardly changes."""
+    known = pose.values[np.isfinite(pose.values).all(axis=1)]
+    if known.shape[1] < 3:
+        return "z"
+    spread = np.percentile(known, 95, axis=0) - np.percentile(known, 5, axis=0)
+    flattest = int(np.argmin(spread))
+    sure = spread[flattest] < _FLAT * spread[2] and spread[2] > _FLAT * spread.max()
+    return "xyz"[flattest] if sure else "z"
 
 
 def _quoted(name: str) -> str:

@@ -31,6 +31,12 @@ def test_a_belief_and_a_result_are_not_written_over_each_other(slipmap, tilted_f
     said = slipmap("identify", tilted_folder, "-o", tmp_path / "new.npz", "--json", tmp_path / "new.npz")
     assert said.code == 2 and "give each its own file" in " ".join(said.err.split())
     assert not (tmp_path / "new.npz").exists()
+    for folder, more in ((tmp_path, ()), (tmp_path / "drawn", ("--pictures", tmp_path / "drawn"))):
+        folder.mkdir(exist_ok=True)
+        json = folder / "new.maps.png"
+        said = slipmap("identify", tilted_folder, "-o", tmp_path / "new.npz", *more, "--json", json)
+        assert said.code == 2 and "a picture of --output" in " ".join(said.err.split()), said.err
+        assert not json.exists()
 
 
 def test_a_belief_has_its_ending(slipmap, tilted_folder, tmp_path):

@@ -11,6 +11,7 @@ from schemas import FOLDER, assert_as_described
 
 from slipmap.models.measurements import DatasetError, read_dataset
 from slipmap.models.measurements.importing.import_setup import parse_import_setup
+from tests.models.measurements.importing.lab_session import lab_session
 
 PAGE = FOLDER.parents[0] / "import.md"
 SETUPS = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
@@ -51,6 +52,29 @@ def test_import_and_check(slipmap, lab):
     page = (lab / "c.html").read_text()
     assert "<svg" in page or "data:image/svg" in page
     assert "imported from push.csv" in page
+
+
+def test_raw_files_to_a_diagnosis_in_three_commands(slipmap, tmp_path):
+    session = lab_session(tmp_path, seed=0)
+    (tmp_path / "setup.yaml").write_text(session.setup)
+    assert len(session.setup.splitlines()) <= 25
+    pushes, said = tmp_path / "pushes", tmp_path / "said.json"
+    commands = (
+        ("import", *session.sources, "--setup", tmp_path / "setup.yaml", "-o", pushes),
+        ("identify", pushes, "-o", tmp_path / "belief.npz", "--json", tmp_path / "belief.json"),
+        ("diagnose", pushes, "--draws", 99, "-o", tmp_path / "diagnosis.html", "--json", said),
+    )
+    for command in commands:
+        done = slipmap(*command)
+        assert done.code == 0 and "warning" not in done.err, done.err
+    shown = json.loads((tmp_path / "belief.json").read_text())["identifiable"]
+    found = {one["name"]: one["value"] for one in shown}
+    load = (session.maps.mass * session.maps.mu)[0]
+    middle = load @ session.grid.centers / load.sum()
+    assert found["total friction"] == pytest.approx(9.81 * load.sum(), rel=0.03)
+    assert np.hypot(*(middle - [found[f"centre of friction, {axis}"] for axis in "xy"])) < 1e-3
+    assert json.loads(said.read_text())["verdict"] == "adequate"
+    assert (tmp_path / "diagnosis.html").stat().st_size > 10_000
 
 
 def test_a_finding_that_matters_ends_in_1(slipmap, lab):

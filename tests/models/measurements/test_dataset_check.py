@@ -135,7 +135,43 @@ def test_noise_that_is_not_declared_is_no_depth(every):
         values = pose.values + rng.normal(0.0, [2e-3, 2e-3, 0.01], pose.values.shape)
         return replace(trial, object_pose=Channel(pose.time[::every], values[::every]))
 
-    assert finding(changed(noisy), "contact").verdict != "wrong"
+    check = changed(noisy)
+    assert finding(check, "contact").verdict != "wrong"
+    assert all(one.verdict == "good" for one in check.findings if one.what == "clock of the finger")
+
+
+def test_one_push_alone_has_an_uncertain_clock():
+    """Of a single noisy push, the spread over pushes says nothing."""
+    rng = np.random.default_rng(3)
+    trial = waited(straight_pushes(1).trials[0])
+    pose = trial.object_pose
+    noisy = Channel(pose.time, pose.values + rng.normal(0.0, [1e-3, 1e-3, 3e-3], pose.values.shape))
+    check = check_dataset(replace(straight_pushes(1), trials=(replace(trial, object_pose=noisy),)))
+    assert float(finding(check, "clock of the finger").found.split("± ")[1].split(" ms")[0]) > 2.0
+
+
+def test_tracks_that_jump_or_turn_in_degrees_are_wrong():
+    def jumps(pose):
+        return pose + np.where(np.arange(len(pose)) > len(pose) - 12, 0.05, 0.0)[:, None] * [1.0, 0.0, 0.0]
+
+    def degrees(pose):
+        return np.column_stack([pose[:, :2], np.linspace(0.0, 30.0, len(pose))])
+
+    found = finding(changed(posed(jumps)), "jumps")
+    assert found.verdict == "wrong" and "50 mm" in found.found and "8 of 8 pushes" in found.found
+    found = finding(changed(posed(degrees)), "angles")
+    assert found.verdict == "wrong" and "were these degrees?" in found.advice
+
+
+def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong():
+    """A finger that never touches by its record is not free of contact all the time."""
+
+    def elsewhere(trial):
+        wrench = Channel(trial.ft_wrench.time, trial.ft_wrench.values + np.array([0.3, -0.4, 0.0]))
+        tip = Channel(trial.tip_pose.time, trial.tip_pose.values + np.array([0.3, 0.2]))
+        return replace(trial, ft_wrench=wrench, tip_pose=tip)
+
+    assert "(0.300, -0.400) N" in finding(changed(elsewhere), "force at rest").found
 
 
 def test_unseen_motion_is_told():

@@ -28,6 +28,8 @@ MESHES = {
     "obj": exported("obj"),
     "ply": exported("ply"),
     "ascii.ply": exported("ply", encoding="ascii"),
+    "urdf": b'<robot name="a"><link name="b"><visual><origin xyz="0 0 0.01" rpy="0 0 0.3"/><geometry>'
+    b'<box size="0.12 0.03 0.02"/></geometry></visual></link></robot>',
 }
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from shapely.geometry import Point
 
 from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements import Noise
@@ -28,7 +27,7 @@ ROBOT_FRAME = np.array([0.4, -0.25, np.radians(30.0)])  # of the robot's base on
 BIAS = np.array([0.8, -0.35])  # N, in the sensor's axes
 SENSOR_TURN = np.radians(45.0)
 _FINE = 1000.0  # Hz
-_DRAWN = 60  # pushes to choose from
+_DRAWN = 120  # pushes to choose from
 _TRAVEL, _LIFT = 2.0, 0.2  # s between two pushes, and the share of it for going up, and down
 _NOISE_FREE = Noise(None, None, None, None)
 
@@ -36,6 +35,7 @@ _NOISE_FREE = Noise(None, None, None, None)
 @dataclass(frozen=True)
 class LabSession:
     folder: Path
+    grid: CellGrid
     maps: Maps
     setup: str  # the setup.yaml
 
@@ -44,13 +44,13 @@ class LabSession:
         return [self.folder / name for name in ("take_001.csv", "robot.log", "force.csv")]
 
 
-def lab_session(folder: Path, seed: int = 3, pushes: int = 8) -> LabSession:
+def lab_session(folder: Path, seed: int = 3) -> LabSession:
     rng = np.random.default_rng(seed)
     grid, maps = hammer()
     slider = Slider(grid, RADIUS)
     time, pose, tip, force, up = [], [], [], [], []
     start, now = np.zeros(3), 0.0
-    for candidate in _all_around(grid, rng, pushes):
+    for candidate in _from_four_sides(grid, rng):
         push = candidate.push(start, rest=0.6)
         dataset = record_pushes(slider, maps, [push], rng, noise=_NOISE_FREE, rate=_FINE)
         trial = dataset.trials[0]
@@ -98,23 +98,25 @@ ft_wrench:
   unit: {{time: ms}}
   frame: [0, 0, 45 deg]
 """
-    return LabSession(folder, maps, setup)
+    return LabSession(folder, grid, maps, setup)
 
 
-def _all_around(grid: CellGrid, rng: np.random.Generator, count: int) -> list[Candidate]:
-    """Pushes as a laboratory chooses them: first such that teach, evenly around the object, then others."""
+def _from_four_sides(grid: CellGrid, rng: np.random.Generator) -> list[Candidate]:
+    """Eight pushes that teach how an object slides: against each of its four sides, near both ends.
+
+    Whatever lies between the ends, the centre of friction does; long arms to both sides of it locate it. The
+    first six, which are learned from, come from all sides.
+    """
     drawn = candidate_pushes(grid, RADIUS, rng, _DRAWN)
-    ring = grid.polygon.exterior
-    places = np.array([ring.project(Point(push.touch), normalized=True) for push in drawn])
-    first, judge = rng.uniform(), max(1, count // 4)
-    wanted = [(first + k / (count - judge)) % 1.0 for k in range(count - judge)] + list(
-        rng.uniform(size=judge)
-    )
-    chosen: list[int] = []
-    for place in wanted:
-        nearest = np.argsort(np.abs((places - place + 0.5) % 1.0 - 0.5))
-        chosen.append(next(int(k) for k in nearest if k not in chosen))
-    return [drawn[k] for k in chosen]
+    chosen = []
+    for quarter, last in ((2, 0), (0, 1), (3, 0), (1, 1), (0, 0), (2, 1), (3, 1), (1, 0)):
+        way = rotated(np.array([1.0, 0.0]), 0.5 * np.pi * quarter)
+        side = [push for push in drawn if push.direction @ way > np.cos(np.pi / 4)]
+        place = np.array([push.touch for push in side]) @ [-way[1], way[0]]
+        share = (place - place.min()) / np.ptp(place)
+        near = [push for push, at in zip(side, share, strict=True) if abs(at - last) <= 1 / 3]
+        chosen.append(near[rng.integers(len(near))])
+    return chosen
 
 
 def _write_motive(path, times, at, pose, rng):

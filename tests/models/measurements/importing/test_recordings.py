@@ -84,6 +84,19 @@ def test_a_column_of_degrees_named_after_the_object_is_its_angle(tmp_path, angle
     assert said["object_pose"]["unit"] == {"position": "mm", "angle": "deg"}
 
 
+def test_a_finger_that_moves_straight_says_nothing_of_up(tmp_path):
+    height = 0.03 + 1e-4 * np.sin(50.0 * TIME)
+    tip = [0.36 + 1e-6 * np.sin(TIME), TIP[:, 0], height]
+    names = ["t", "block_x", "block_y", "block_z", "block_yaw", "tip_x", "tip_y", "tip_z"]
+    file = written(tmp_path / "p.csv", names, [TIME, POSE[:, :2], height, POSE[:, 2], *tip])
+    assert "up:" not in guess_setup(file)
+    names[1:4] = "block_z", "block_x", "block_y"
+    plane = POSE[:, :1] * [1.0, 0.3]
+    file = written(tmp_path / "p.csv", names, [TIME, plane, height, POSE[:, 2], *tip])
+    said = yaml.safe_load(guess_setup(file))
+    assert said["object_pose"]["up"] == said["tip_pose"]["up"] == "y"
+
+
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like an object's pose"):
