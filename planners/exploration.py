@@ -87,8 +87,9 @@ def candidate_pushes(
     """Random pushes on random contact points of the contour (Algorithm 2, line 1).
 
     Contour cells come in random order; none comes twice before each has had its turn. Those along openings in
-    which the finger can come down count too. Cells that no drawn direction reaches are skipped. Where the finger comes down it has clearance all round: `DESCENT`, or as
-    much as the approach allows, because the object may be millimetres away from its estimated place.
+    which the finger can come down count too. Cells that no drawn direction reaches are skipped. Where the
+    finger comes down it has clearance all round: `DESCENT`, or as much as the approach allows, because the
+    object may be millimetres away from its estimated place.
 
     Args:
         grid: the object.
