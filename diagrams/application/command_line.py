@@ -4,6 +4,7 @@ Exit codes: 0 success; 1 a failure of the program itself, or a run that did not 
 bad input; 130 stopped by Ctrl-C or by a termination signal.
 """
 
+import atexit
 import difflib
 import errno
 import importlib
@@ -242,6 +243,16 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
     sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
+    code = SUCCESS
+
+    def leave() -> None:
+        # After a Ctrl-C inside `exec`, as when a dataclass is made, Python would end by SIGINT instead.
+        if code == STOPPED:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    atexit.register(leave)  # the first to be registered is the last to be called
     code = run(sys.argv[1:])
     # The work is over: a signal while Python shuts down would only spoil the exit code.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -10,6 +10,7 @@ import re
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
@@ -57,6 +58,15 @@ def paragraph(text: str) -> None:
 def status(text: str) -> None:
     """Print a remark on stderr, wrapped to 80 columns, with all lines but the first indented."""
     note(wrapped(text, "    "))
+
+
+@contextmanager
+def warnings_noted() -> Iterator[None]:
+    """Print what the block warns of, each warning as a line on stderr."""
+    with warnings.catch_warnings(record=True) as found:
+        yield
+    for text in dict.fromkeys(str(one.message) for one in found if one.category is UserWarning):
+        note(f"warning: {text}")
 
 
 def wait_for_enter() -> None:

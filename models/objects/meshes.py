@@ -3,6 +3,7 @@ and OBJ text with normals for renderers."""
 
 import logging
 import re
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike
@@ -44,6 +45,8 @@ _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
 _FINEST = 1e-5  # of the silhouette's extent; a point nearer to the line between corners is not a corner
 _SPECK = 1e-5  # of the silhouette's area
+# Of the silhouette's extent: parts less far apart are joined. Convex decompositions leave such gaps.
+_HAIRS = 1e-5, 1e-4, 1e-3
 _CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle form a visible edge
 _ROUND_STEPS = 6
 _MOST_COLOURS = 16
@@ -60,8 +63,9 @@ def cells_from_mesh(
     """Cell grid of a mesh's silhouette on the support plane (lines 1 and 2 of Algorithm 4).
 
     Triangles are projected along `up` and united, so overhanging parts belong to the footprint, as in a
-    camera's view from above. With `up` = z the object frame has the mesh frame's x and y. Any other `up` is
-    first turned to z by the smallest rotation (about x for -z); x and y are those of the turned mesh.
+    camera's view from above. Parts less than a thousandth of the extent apart are joined, with a warning.
+    With `up` = z the object frame has the mesh frame's x and y. Any other `up` is first turned to z by the
+    smallest rotation (about x for -z); x and y are those of the turned mesh.
 
     Args:
         mesh: a mesh, or the path of a file that trimesh can load; the parts of a scene are merged.
@@ -210,9 +214,21 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     # The upper side of a closed mesh covers its silhouette; the faces of an open one may point anywhere.
     seen = twice_area if closed else np.abs(twice_area)
     union = shapely.union_all(shapely.polygons(triangles[seen > (_SNAP * extent) ** 2]))
-    parts = [p for p in getattr(union, "geoms", [union]) if p.area > _SPECK * union.area]
+    parts = _parts(union)
     if len(parts) == 0:
         raise ValueError(f"{source}: the silhouette along `up` has no area")
+    for share in _HAIRS if len(parts) > 1 else ():
+        joined = union.buffer(share * extent / 2, join_style="mitre").buffer(
+            -share * extent / 2, join_style="mitre"
+        )
+        if len(_parts(joined)) == 1:
+            warnings.warn(
+                f"{source}: {len(parts)} parts of the silhouette lie less than {1e3 * share * extent:.2g} mm"
+                " apart; the gaps are closed",
+                stacklevel=3,
+            )
+            parts = _parts(joined)
+            break
     if len(parts) > 1:
         boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts)
         raise ValueError(
@@ -222,6 +238,11 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     outline = parts[0].simplify(_FINEST * extent)
     assert isinstance(outline, Polygon)
     return outline
+
+
+def _parts(area: BaseGeometry) -> list[BaseGeometry]:
+    """The parts of an area, without specks."""
+    return [part for part in shapely.get_parts(area) if part.area > _SPECK * area.area]
 
 
 def shaded_obj(mesh: trimesh.Trimesh) -> str:

@@ -12,7 +12,13 @@ import click
 
 from slipmap.diagrams.application.commands.options import Option, complete_objects, path_option
 from slipmap.diagrams.application.outputs import check_output
-from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, wait_for_enter
+from slipmap.diagrams.application.terminal import (
+    Progress,
+    note,
+    prepare_kernels,
+    wait_for_enter,
+    warnings_noted,
+)
 from slipmap.diagrams.hardware.network import LCM_URL
 from slipmap.models.files import BadInput, write_text
 
@@ -195,7 +201,8 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
     try:
         scenario = Scenario() if path is None else read_scenario(path, object_name)
         scenario.object.name = object_name or scenario.object.name
-        thing = scenario.object.make()
+        with warnings_noted():
+            thing = scenario.object.make()
     except BadInput:
         raise
     except ValueError as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands.options import Option, count_option, output_option
-from slipmap.diagrams.application.terminal import note, printable
+from slipmap.diagrams.application.terminal import note, printable, warnings_noted
 from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def _modelled(
     try:
         axis = up or meshes.up_axis(file)
         direction = meshes.DIRECTIONS[axis]
-        grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
+        with warnings_noted():
+            grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
         height = float(meshes.upright_mesh(file, direction, metres_per_unit).bounds[1, 2])
     except ValueError as error:
         raise BadInput(str(error).replace("metres_per_unit=", "--metres-per-unit ")) from error

@@ -1,6 +1,7 @@
 """Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER`.
 
-Each runs to its end once, and then again and again, ended by SIGINT and SIGKILL at ten moments of that time.
+Each runs to its end twice, the first time to compile its kernels, and then again and again, ended by SIGINT and
+SIGKILL at ten moments of the second run's time.
 Said is what is wrong then: another exit code than 130 (or that of the whole run, where the signal came too
 late, or where Ctrl-C is how the command ends), a traceback, a process left behind, a file that is not whole
 or has no place beside the others, and whether the same command, or `--resume`, goes on afterwards.
@@ -101,8 +102,9 @@ def main() -> None:
             faults += 1
             print(f"    {text}", flush=True)
 
-        fresh(out)
-        seconds, whole = whole_run(case, out, data)
+        for _ in range(2):
+            fresh(out)
+            seconds, whole = whole_run(case, out, data)
         print(f"{name}: {seconds:.1f} s", flush=True)
         if whole:
             complain(f"the whole run ends with {whole}")

@@ -140,6 +140,18 @@ def test_ctrl_c_after_the_end_does_not_spoil_it():
     assert (done.returncode, done.stderr) == (0, b"") and done.stdout
 
 
+def test_ctrl_c_within_exec_has_the_usual_exit_code(tmp_path):
+    """As while an imported module makes a dataclass; `python -m` then remembers to end by the signal."""
+    (tmp_path / "stopped.py").write_text(
+        "from slipmap.diagrams.application import command_line\n"
+        "command_line.slipmap.main = lambda *_, **__: exec('raise KeyboardInterrupt')\n"
+        "command_line.main()\n"
+    )
+    command = [sys.executable, "-m", "stopped"]
+    done = subprocess.run(command, env=ENVIRONMENT, cwd=tmp_path, capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     evil = "a\x1b]0;title\x07\x9b31m\u202eb\rc"
     assert printable(evil) == r"a\x1b]0;title\x07\x9b31m\u202eb\rc"

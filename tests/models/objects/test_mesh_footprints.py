@@ -49,6 +49,18 @@ def test_box_stays_where_it_is():
     assert_allclose(grid.polygon.bounds, [0.2, -0.15, 0.4, -0.05])
 
 
+def test_hair_gaps_between_parts_are_closed_with_a_warning():
+    """As convex decompositions leave them; 0.3 mm is a thousandth of this hammer's length."""
+    parts = [box(0.2, 0.02, 0.02), box(0.1, 0.1, 0.03, at=(0.15 + 2.5e-4, 0.0, 0.0))]
+    with pytest.warns(UserWarning, match=r"2 parts .* less than 0\.3 mm apart; the gaps are closed"):
+        grid = cells_from_mesh(trimesh.util.concatenate(parts), count=40)
+    assert grid.polygon.area == pytest.approx(0.2 * 0.02 + 0.1 * 0.1, rel=1e-3)
+    assert_allclose(grid.polygon.bounds, [-0.1, -0.05, 0.20025, 0.05], atol=1e-9)
+    parts[1].apply_translation((1e-4, 0.0, 0.0))
+    with pytest.raises(ValueError, match="is in 2 separate parts"):
+        cells_from_mesh(trimesh.util.concatenate(parts), count=40)
+
+
 def test_box_turned_about_the_vertical_axis():
     grid = cells_from_mesh(turned(box(0.2, 0.1, 0.05), 30, [0, 0, 1]), count=200)
     assert grid.polygon.area == pytest.approx(0.02)
