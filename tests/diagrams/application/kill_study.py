@@ -1,10 +1,10 @@
 """Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER`.
 
-Each runs to its end twice, the first time to compile its kernels, and then again and again, ended by SIGINT and
-SIGKILL at ten moments of the second run's time.
-Said is what is wrong then: another exit code than 130 (or that of the whole run, where the signal came too
-late, or where Ctrl-C is how the command ends), a traceback, a process left behind, a file that is not whole
-or has no place beside the others, and whether the same command, or `--resume`, goes on afterwards.
+Each runs to its end twice, the first time to compile its kernels, and then again and again, ended by SIGINT
+and SIGKILL at ten moments of the second run's time. Said is what is wrong then: another exit code than 130
+(or that of the whole run, where the signal came too late, or where Ctrl-C is how the command ends), a
+traceback, a process left behind, a file that is not whole or has no place beside the others, and whether the
+same command, or `--resume`, goes on afterwards.
 """
 
 from __future__ import annotations
