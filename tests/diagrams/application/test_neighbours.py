@@ -164,6 +164,26 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     assert not any(character in said.out + said.err for character in "\x1b\x07\x9b\u202e\r")
 
 
+def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
+    from numba.core import event
+
+    now = 0.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    monkeypatch.setattr(event, "timer", lambda: now)
+    monkeypatch.setattr(terminal, "_compiling", [])
+    terminal.prepare_kernels()
+    pace = terminal._Pace(0)
+    with event.trigger_event("numba:compile"):
+        now = 10.0
+        with event.trigger_event("numba:compile"):
+            now = 30.0
+    pace.note(1, 100)
+    assert pace.left() is None  # one of a hundred says little
+    now = 32.0
+    pace.note(4, 100)
+    assert pace.left() == pytest.approx(96 * 0.5)
+
+
 def test_parts_that_come_at_once_do_not_promise_an_early_end(monkeypatch):
     """Fifteen of two hundred are on file; the sixteenth is at work for half a minute."""
     now = 0.0
