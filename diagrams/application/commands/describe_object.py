@@ -86,13 +86,16 @@ def describe_object(
     for warning in warnings:
         note(f"warning: {warning}")
     write_text(output, yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
-    low, high = setup.grid.exterior.min(axis=0), setup.grid.exterior.max(axis=0)
-    size = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low)
-    holes = len(setup.grid.holes)
-    openings = f" with {holes} opening{'s' * (holes > 1)}" if holes else ""
     cut = f"{len(setup.grid)} cells of {1e3 * setup.grid.width:.1f} mm"
-    click.echo(f"{printable(file.stem)}: {size}{openings}{standing}, {cut}")
+    click.echo(f"{printable(file.stem)}: {size_in_words(setup.grid)}{standing}, {cut}")
     note(f"description: {output}; use it with --object {output}")
+
+
+def size_in_words(grid: CellGrid) -> str:
+    """Width and depth of an object, and the number of its openings."""
+    low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
+    size, holes = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low), len(grid.holes)
+    return f"{size} with {holes} opening{'s' * (holes > 1)}" if holes else size
 
 
 def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:
