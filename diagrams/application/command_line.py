@@ -11,6 +11,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections import Counter
 from collections.abc import Sequence
@@ -230,8 +231,20 @@ def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
     return cast(TextIO, _Output(stream))
 
 
+def _hear_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Repeat a Ctrl-C that came while an object was deleted, or in a callback from C, where it is lost."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        main_thread = threading.main_thread().ident
+        again = threading.Timer(0.02, signal.pthread_kill, (main_thread, signal.SIGINT))  # in here it is lost
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def main() -> None:
     """Entry point of the console script."""
+    sys.unraisablehook = _hear_again
     # The matrices are small and the rollouts have their own threads: with another program on the same
     # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -140,6 +140,31 @@ def test_ctrl_c_after_the_end_does_not_spoil_it():
     assert (done.returncode, done.stderr) == (0, b"") and done.stdout
 
 
+LOST = """
+import os, signal, time
+from slipmap.diagrams.application import command_line
+
+class Deleted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+def work(*_, **__):
+    Deleted()
+    time.sleep(60)
+
+command_line.slipmap.main = work
+command_line.main()
+"""
+
+
+def test_ctrl_c_while_an_object_is_deleted_is_heard():
+    done = subprocess.run(
+        [sys.executable, "-c", LOST], env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50
+    )
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
 COMMAND_STOPPED = """
 from slipmap.diagrams.application import command_line
 command_line.slipmap.main = lambda *_, **__: exec("raise KeyboardInterrupt")
