@@ -189,8 +189,9 @@ class End:
             yield f"left behind: {left}"
         for path in sorted(path for path in self.out.rglob("*") if path.is_file()):
             name = path.relative_to(self.out)
-            if path.name.startswith(".") or path.name.endswith(("~", ".part", ".tmp")):
-                yield f"a file left over: {name}"
+            if path.name.startswith(".slipmap."):  # removed by whoever writes there next
+                if self.number == signal.SIGINT:
+                    yield f"a file left over: {name}"
             elif (why := broken(path)) is not None:
                 yield f"{name} is not whole: {why}"
         scratch = self.out.parent / "tmp"
@@ -249,8 +250,9 @@ def goes_on(case: Case, out: Path, data: Path) -> list[str]:
     process = started(words, out, data, "again")
     code = process.wait()
     said = (out.parent / f"{out.name}.err").read_text(errors="replace").strip().splitlines()
+    parts = [f"still left over: {part.relative_to(out)}" for part in out.rglob(".slipmap.*")]
     if code == 0 or any("exists already" in line for line in said):  # the last signal was too late
-        return []
+        return parts
     return [f"`{words}` afterwards: exit code {code}: {said[-1:]}"]
 
 

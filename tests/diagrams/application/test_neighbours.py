@@ -57,6 +57,22 @@ def test_results_appear_together_or_not_at_all(tmp_path):
     assert files_in(tmp_path) == ["belief.json", "report.html"]
 
 
+def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    left = [f".slipmap.{gone.pid}.0.belief.json", f".slipmap.{gone.pid}.abcd"]
+    kept = [f".slipmap.{os.getpid()}.9.other.json", f".{gone.pid}.belief.json", ".slipmap.mine"]
+    for name in (left[0], *kept):
+        (tmp_path / name).touch()
+    (tmp_path / left[1]).mkdir()
+    write_json(tmp_path / "belief.json", {})
+    assert files_in(tmp_path) == sorted([*kept, "belief.json"]) and not (tmp_path / left[1]).exists()
+    (tmp_path / left[0]).touch()
+    with together():
+        write_json(tmp_path / "belief.json", {})
+    assert files_in(tmp_path) == sorted([*kept, "belief.json"])
+
+
 def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeypatch):
     replace = os.replace
 
