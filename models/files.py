@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import shutil
 import signal
 import tempfile
 import threading
@@ -13,6 +14,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
+
+_PART = ".slipmap."
+"""How temporary names begin; the number of their process follows."""
 
 _WAITING: ContextVar[dict[Path, Path] | None] = ContextVar("files that appear together", default=None)
 """Final file: its temporary name."""
@@ -86,6 +90,32 @@ def _too_large(size: int, largest: int) -> UnreadableFile:
     return UnreadableFile(f"{size / unit:.0f} {name}, more than the {largest / unit:.0f} {name} it may have")
 
 
+def _part_of(file: Path, number: str = "") -> Path:
+    """A temporary name beside a file, whose own name can be as long as the disk allows."""
+    return file.with_name(f"{_PART}{os.getpid()}.{number}{file.name[-40:]}")
+
+
+def _sweep(folder: Path) -> None:
+    """Remove temporary files and folders that killed processes left."""
+    for part in folder.glob(f"{_PART}*"):
+        process = part.name.removeprefix(_PART).partition(".")[0]
+        if process.isdigit() and not _runs(int(process)):
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
+            else:
+                part.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 @contextmanager
 def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
     """Yield a temporary name, renamed to `path` if the block succeeds, removed if not; links are followed.
@@ -98,7 +128,7 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
     """
     file = Path(os.path.realpath(path))
     if part is None:
-        part = file.with_name(f".{os.getpid()}.{file.name[-40:]}")  # names can be as long as the disk allows
+        part = _part_of(file)
     try:
         yield part
         os.replace(part, file)
@@ -114,7 +144,8 @@ def replaced_folder(path: Path) -> Iterator[Path]:
         OSError: the path cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+    _sweep(path.parent)
+    with tempfile.TemporaryDirectory(prefix=f"{_PART}{os.getpid()}.", dir=path.parent) as scratch:
         fresh, old = Path(scratch) / "new", Path(scratch) / "old"
         yield fresh
         if path.exists():
@@ -137,11 +168,13 @@ def whole_file(path: Path) -> Iterator[Path]:
     waiting = _WAITING.get()
     if waiting is None:
         with writing(path), replaced_file(path) as part:
+            _sweep(part.parent)
             yield part
         return
     file = Path(os.path.realpath(path))
-    part = waiting.setdefault(file, file.with_name(f".{os.getpid()}.{len(waiting)}.{file.name[-40:]}"))
+    part = waiting.setdefault(file, _part_of(file, f"{len(waiting)}."))
     with writing(path):
+        _sweep(file.parent)
         yield part
 
 

@@ -2,7 +2,8 @@
 candidate.
 
 Two numbers identify a line of push, which makes neighbours easy to find: the arc length of the contact along
-the outer contour, and the angle between the push and the inward normal there.
+the contours, and the angle between the push and the inward normal there. The contours are the exterior and,
+after it, the openings in which the finger can come down.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import shapely
 
 from slipmap.models.geometry import compose, rotated
 from slipmap.models.objects import contour_cells
+from slipmap.models.objects.footprints import wide_holes
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.exploration import DESCENT, TOUCH, NoReachablePush
 
@@ -24,7 +26,7 @@ _TRIES = 20  # rounds of drawing the wanted number of lines before fewer are acc
 class ContactLines:
     """C lines along which a round finger can push, all clear until first touch; object frame."""
 
-    places: FloatArray  # (C,) arc length along the exterior, m
+    places: FloatArray  # (C,) arc length along the contours, m
     angles: FloatArray  # (C,) from the inward normal to the direction, counter-clockwise, rad
     touches: FloatArray  # (C, 2) finger centre at first touch, m
     directions: FloatArray  # (C, 2) unit vectors of the finger's motion
@@ -43,7 +45,7 @@ class ContactLines:
 
 
 class ContactContour:
-    """The outer contour of an object, for a finger.
+    """The contours of an object, for a finger.
 
     Args:
         grid: the object.
@@ -52,26 +54,32 @@ class ContactContour:
     """
 
     def __init__(self, grid: CellGrid, finger_radius: float, approach: float) -> None:
-        self._ring = grid.exterior
         self._polygon = grid.polygon
         self._radius = finger_radius
         self._approach = approach
-        edges = np.roll(self._ring, -1, axis=0) - self._ring
+        room = finger_radius + DESCENT
+        rings = [grid.exterior, *wide_holes(grid, room)]
+        self._corners = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+        edges = self._corners - np.concatenate(rings)
         lengths = np.linalg.norm(edges, axis=1)
         self._ends = np.cumsum(lengths)
         self._along = edges / np.where(lengths > 0, lengths, 1.0)[:, None]
-        _, self._cells, _ = contour_cells(grid)
-        line = shapely.LinearRing(self._ring)
-        self.cell_places: FloatArray = shapely.line_locate_point(line, shapely.points(self._cells))
-        """(c,) arc lengths of the contact points of the contour's cells, m."""
+        # (R + 1,) arc lengths at which rings begin, and the end of the last one.
+        self._limits = np.append(0.0, self._ends[np.cumsum([len(ring) for ring in rings]) - 1])
+        self._cells = contour_cells(grid, room)[1]
+        points = shapely.points(self._cells)
+        lines = np.array([shapely.LinearRing(ring) for ring in rings])
+        of = np.argmin(shapely.distance(lines[:, None], points), axis=0)
+        self._outer = of == 0
+        self.cell_places: FloatArray = self._limits[of] + shapely.line_locate_point(lines[of], points)
+        """(c,) arc lengths of the contact points of the contours' cells, m."""
 
     def lines(self, places: FloatArray, angles: FloatArray) -> ContactLines:
         """The lines, out of those at C arc lengths and angles, that the finger can follow."""
         places = np.mod(places, self._ends[-1])
         edge = np.minimum(np.searchsorted(self._ends, places, side="right"), len(self._ends) - 1)
         back = (self._ends[edge] - places)[:, None]
-        corner = np.roll(self._ring, -1, axis=0)[edge]
-        along = self._along[edge]
+        corner, along = self._corners[edge], self._along[edge]
         inward = np.column_stack([-along[:, 1], along[:, 0]])
         touches = corner - back * along - self._radius * inward
         directions = rotated(inward, angles)
@@ -84,7 +92,7 @@ class ContactContour:
     def nearest_to_axis(self, center: FloatArray, ways: FloatArray) -> FloatArray:
         """Contacts most in line with the required motion of the expected centre of mass.
 
-        i = argmax cos(x̂ - x_target, p^i - x̂) over the cells of the contour (section V.D of the paper).
+        i = argmax cos(x̂ - x_target, p^i - x̂) over the cells of the exterior (section V.D of the paper).
 
         Args:
             center: (2,) expected centre of mass x̂, object frame, m.
@@ -94,12 +102,12 @@ class ContactContour:
             (G',) distinct arc lengths, m; none for a target at which the centre of mass already is.
         """
         wanted = ways[np.linalg.norm(ways, axis=1) > 1e-6]
-        spokes = self._cells - center
+        spokes = self._cells[self._outer] - center
         spokes = spokes / np.linalg.norm(spokes, axis=1)[:, None]
-        return self.cell_places[np.unique(np.argmax(-wanted @ spokes.T, axis=1))]
+        return self.cell_places[self._outer][np.unique(np.argmax(-wanted @ spokes.T, axis=1))]
 
     def spread(self, first: FloatArray, count: int, cone: float, rng: np.random.Generator) -> ContactLines:
-        """Candidates all around the contour: `first`, then random ones; half of all are along the normals.
+        """Candidates all around the contours: `first`, then random ones; half of all are along the normals.
 
         Args:
             first: (f,) arc lengths to put before all others, m.
@@ -141,13 +149,15 @@ class ContactContour:
             lines: tried so far.
             chosen: (m,) indices of those to vary, in turn.
             count: wanted number of lines.
-            shift: standard deviation along the contour, m.
+            shift: standard deviation along the contact's ring, m.
             tilt: standard deviation of the angle, rad.
             cone: largest angle from the inward normal, rad.
             rng: source of every draw.
         """
         base = np.resize(chosen, count)
-        places = lines.places[base] + shift * rng.standard_normal(count)
+        ring = np.searchsorted(self._limits[1:-1], lines.places[base], side="right")
+        begin, end = self._limits[ring], self._limits[ring + 1]
+        places = begin + np.mod(lines.places[base] - begin + shift * rng.standard_normal(count), end - begin)
         angles = lines.angles[base] + tilt * rng.standard_normal(count)
         return self.lines(places, np.clip(angles, -cone, cone))
 

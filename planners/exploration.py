@@ -84,9 +84,10 @@ def candidate_pushes(
 ) -> list[Candidate]:
     """Random pushes on random contact points of the contour (Algorithm 2, line 1).
 
-    Contour cells come in random order; none comes twice before each has had its turn. Cells that no drawn
-    direction reaches are skipped. Where the finger comes down it has clearance all round: `DESCENT`, or as
-    much as the approach allows, because the object may be millimetres away from its estimated place.
+    Contour cells come in random order; none comes twice before each has had its turn. Those along openings in
+    which the finger can come down count too. Cells that no drawn direction reaches are skipped. Where the
+    finger comes down it has clearance all round: `DESCENT`, or as much as the approach allows, because the
+    object may be millimetres away from its estimated place.
 
     Args:
         grid: the object.
@@ -111,13 +112,14 @@ def candidate_pushes(
         (3, 2)
     """
     _check(finger_radius, count, length, speed, cone, approach)
-    cells, points, normals = contour_cells(grid)
+    clear = min(DESCENT, approach * np.cos(cone)) - TOUCH
+    cells, points, normals = contour_cells(grid, finger_radius + clear)
     pushes: list[Candidate] = []
     while len(pushes) < count:
         found = len(pushes)
         for k in rng.permutation(len(cells)):
             touch = points[k] + finger_radius * normals[k]
-            direction = _aimed(grid, finger_radius, rng, touch, -normals[k], cone, approach)
+            direction = _aimed(grid, finger_radius, rng, touch, -normals[k], cone, approach, clear)
             if direction is not None and len(pushes) < count:
                 way, pace = float(rng.uniform(*length)), float(rng.uniform(*speed))
                 pushes.append(Candidate(int(cells[k]), points[k], direction, touch, approach, way, pace))
@@ -137,13 +139,13 @@ def _aimed(
     inward: FloatArray,
     cone: float,
     approach: float,
+    clear: float,
 ) -> FloatArray | None:
     """A random direction near `inward` in which a disc first meets the object at `touch`."""
-    room = min(DESCENT, approach * np.cos(cone)) - TOUCH
     for angle in rng.uniform(-cone, cone, _TRIES):
         direction = rotated(inward, angle)
         begin = touch - approach * direction
-        if shapely.distance(shapely.Point(begin), grid.polygon) < radius + room:
+        if shapely.distance(shapely.Point(begin), grid.polygon) < radius + clear:
             continue
         if shapely.distance(shapely.LineString([begin, touch]), grid.polygon) >= radius - TOUCH:
             return direction

@@ -4,12 +4,14 @@ Exit codes: 0 success; 1 a failure of the program itself, or a run that did not 
 bad input; 130 stopped by Ctrl-C or by a termination signal.
 """
 
+import atexit
 import difflib
 import errno
 import importlib
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections import Counter
 from collections.abc import Sequence
@@ -229,8 +231,20 @@ def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
     return cast(TextIO, _Output(stream))
 
 
+def _hear_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Repeat a Ctrl-C that came while an object was deleted, or in a callback from C, where it is lost."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        main_thread = threading.main_thread().ident
+        again = threading.Timer(0.02, signal.pthread_kill, (main_thread, signal.SIGINT))  # in here it is lost
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def main() -> None:
     """Entry point of the console script."""
+    sys.unraisablehook = _hear_again
     # The matrices are small and the rollouts have their own threads: with another program on the same
     # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -240,6 +254,16 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
     sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
+    code = SUCCESS
+
+    def leave() -> None:
+        # After a Ctrl-C inside `exec`, as when a dataclass is made, Python would end by SIGINT instead.
+        if code == STOPPED:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    atexit.register(leave)  # the first to be registered is the last to be called
     code = run(sys.argv[1:])
     # The work is over: a signal while Python shuts down would only spoil the exit code.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -10,10 +10,12 @@ import re
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
+from typing import Any
 
 import click
 
@@ -25,6 +27,7 @@ _WIDEST = 100  # columns, largest width of a table
 _GAP = 3  # characters between the columns of a table
 _HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
 _LONGEST_STAGE = 34  # characters beside a bar; longer names are cut
+_ENOUGH, _ALWAYS_ENOUGH = 0.02, 20  # parts, as a share of all and in number, that tell the pace
 _BAR = 16  # columns of a bar where there is room; with the numbers, the line fits 80 columns
 
 
@@ -57,6 +60,15 @@ def status(text: str) -> None:
     note(wrapped(text, "    "))
 
 
+@contextmanager
+def warnings_noted() -> Iterator[None]:
+    """Print what the block warns of, each warning as a line on stderr."""
+    with warnings.catch_warnings(record=True) as found:
+        yield
+    for text in dict.fromkeys(str(one.message) for one in found if one.category is UserWarning):
+        note(f"warning: {text}")
+
+
 def wait_for_enter() -> None:
     """Wait until Enter is pressed or the input ends."""
     sys.stdin.readline()
@@ -72,6 +84,11 @@ def prepare_kernels() -> None:
     """
     from slipmap.models.physics.compiled import CACHE_FOLDER, needs_compiling
 
+    if not _compiling:
+        from numba.core import event
+
+        _compiling.append(event.TimingListener())
+        event.register("numba:compile", _compiling[0])
     try:
         CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -156,6 +173,14 @@ class Progress:
         self._stage = ""
 
 
+_compiling: list[Any] = []  # numba's watch of the time spent compiling, once kernels are prepared
+
+
+def _clock() -> float:
+    """Seconds, like `time.monotonic`, but without compiling, which says nothing about the pace."""
+    return time.monotonic() - sum(watch.duration for watch in _compiling if watch.done)
+
+
 class _Pace:
     """Remaining time of a stage, from the mean duration of the finished parts.
 
@@ -166,22 +191,22 @@ class _Pace:
     def __init__(self, done: int) -> None:
         self._first = self._done = done
         self._total = 0
-        self._began = self._last = time.monotonic()
+        self._began = self._last = _clock()
 
     def note(self, done: int, total: int) -> bool:
         """Update the number of finished parts; returns whether it has grown."""
         self._total = total
         more = done > self._done
         if more:
-            self._done, self._last = done, time.monotonic()
+            self._done, self._last = done, _clock()
         return more
 
     def left(self) -> float | None:
-        """Seconds until all parts are done; None until one is. Counts down while a part is running."""
+        """Seconds until all parts are done; None until enough are. Counts down while a part is running."""
         made = self._done - self._first
-        if made <= 0 or self._total <= 1:
+        if self._total <= 1 or made < min(max(1, _ENOUGH * self._total), _ALWAYS_ENOUGH):
             return None
-        now = time.monotonic()
+        now = _clock()
         # Parts read from files finish at once and say nothing about the others: the running part counts too.
         each = max((self._last - self._began) / made, (now - self._began) / (made + 1))
         at_work = min(now - self._last, each)

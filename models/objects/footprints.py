@@ -1,5 +1,5 @@
-"""Footprints cut into square cells, cells on the outer contour that a finger can touch, and convex pieces of
-an outline for collision engines.
+"""Footprints cut into square cells, cells on the contours that a finger can touch, and convex pieces of an
+outline for collision engines.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MAX_CELLS = 50_000  # a finer grid is probably a mistake in units
 # The centre of the bounding box holds a cell's centre (0) or a cell's edge (0.5), in x and in y.
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
-_PIECES_PER_CELL = 32  # pieces of the exterior per cell width; each piece belongs to one cell
+_PIECES_PER_CELL = 32  # pieces of a ring per cell width; each piece belongs to one cell
 _LEAST_SHARE = 0.1  # of a cell's width
 
 
@@ -76,20 +76,41 @@ def cells_from_polygon(
     return CellGrid(centers, float(width), outline, openings)
 
 
-def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """Cells that own a stretch of the exterior, each with a contact point and the normal there.
+def contour_cells(
+    grid: CellGrid, room: float | None = None
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Cells that own a stretch of a contour, each with a contact point and the normal there.
 
-    A cell owns the part of the exterior to which it is the nearest cell. Its contact point is the point of
-    this part nearest to the cell's centre: for a cell with a side on the outline, the middle of that side.
+    A cell owns the part of a ring to which it is the nearest cell. Its contact point is the point of this
+    part nearest to the cell's centre: for a cell with a side on the outline, the middle of that side.
     Cells that own less than a tenth of their width, such as one behind a re-entrant corner, are left out,
-    unless no cell owns more. Holes have no contact cells, since a finger outside cannot reach them.
+    unless no cell owns more.
+
+    Args:
+        grid: the object.
+        room: radius of a disc, m; openings that hold one have contact cells too. If None, none has.
 
     Returns:
-        indices: (c,) cells in counter-clockwise order along the exterior, each once.
-        points: (c, 2) contact points on the exterior, never on a corner, object frame, m.
-        normals: (c, 2) outward unit normals of the edges they lie on, object frame.
+        indices: (c,) cells in counter-clockwise order along the exterior, each once, followed by those along
+            each opening, clockwise.
+        points: (c, 2) contact points on the rings, never on a corner, object frame, m.
+        normals: (c, 2) unit normals, out of the object, of the edges they lie on, object frame.
     """
-    start, along, edge, limits = _pieces(grid)
+    openings = [] if room is None else wide_holes(grid, room)
+    found = [_contacts(grid, ring) for ring in (grid.exterior, *openings)]
+    cells, points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return cells, points, normals
+
+
+def wide_holes(grid: CellGrid, room: float) -> list[FloatArray]:
+    """Rings (k_j, 2) of the openings that hold a disc of radius `room`, m."""
+    return [hole for hole in grid.holes if not Polygon(hole).buffer(-room).is_empty]
+
+
+def _contacts(grid: CellGrid, ring: FloatArray) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Cells, contact points and normals along one ring (k, 2)."""
+    edges = np.hstack([ring, np.roll(ring, -1, axis=0)])
+    start, along, edge, limits = _pieces(edges, grid.width)
     length = np.linalg.norm(along, axis=1)
     owner = np.asarray(cKDTree(grid.centers).query(start + along / 2)[1])
     share = np.bincount(owner, weights=length, minlength=len(grid))
@@ -107,8 +128,7 @@ def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatAr
     cells, first = np.unique(owner[order], return_index=True)
     chosen = order[first][share[cells] >= least]
     chosen.sort()
-    edges = grid.edges[edge[chosen]]
-    tangent = edges[:, 2:] - edges[:, :2]
+    tangent = edges[edge[chosen], 2:] - edges[edge[chosen], :2]
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     return owner[chosen], points[chosen], np.column_stack([tangent[:, 1], -tangent[:, 0]])
 
@@ -251,12 +271,11 @@ def checked_holes(holes: Sequence[ArrayLike]) -> tuple[FloatArray, ...]:
     return tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
 
 
-def _pieces(grid: CellGrid) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray]:
-    """Exterior cut into short pieces: start (p, 2), vector (p, 2), edge (p,), usable fractions (2, p)."""
-    edges = grid.edges[: len(grid.exterior)]
+def _pieces(edges: FloatArray, width: float) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray]:
+    """Edges cut into short pieces: start (p, 2), vector (p, 2), edge (p,), usable fractions (2, p)."""
     vectors = edges[:, 2:] - edges[:, :2]
     lengths = np.linalg.norm(vectors, axis=1)
-    number = np.maximum(1, np.ceil(lengths * _PIECES_PER_CELL / grid.width)).astype(int)
+    number = np.maximum(1, np.ceil(lengths * _PIECES_PER_CELL / width)).astype(int)
     number[lengths == 0] = 0
     edge = np.repeat(np.arange(len(edges)), number)
     rank = np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number)

@@ -1,8 +1,8 @@
 """Triangle meshes: reading them, or a link of a URDF or SDF, upright and in metres; cell grids from
 silhouettes, solids over an outline, and OBJ text with normals for renderers."""
 
-import logging
 import re
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike
@@ -38,7 +38,6 @@ DIRECTIONS = {
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "m": 1.0}
 
-_LOG = logging.getLogger("slipmap.objects")
 _LINKS = (".urdf", ".sdf")
 _LARGEST_LINK = 16 * 2**20  # bytes of a URDF or SDF
 _GAPS = (0.002, 0.005, 0.01, 0.02)  # of the silhouette's extent; wider gaps part two objects
@@ -321,7 +320,8 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
         raise ValueError(f"{source}: the silhouette along `up` has no area")
     if len(parts) > 1 and (joined := _joined(parts, extent)) is not None:
         outline, width = joined
-        _LOG.warning("%s: gaps of up to %.2g mm between %d parts closed", source, 1e3 * width, len(parts))
+        gaps = f"gaps of up to {1e3 * width:.2g} mm between {len(parts)} parts closed"
+        warnings.warn(f"{source}: {gaps}", stacklevel=3)
         parts = [outline]
     if len(parts) > 1:
         boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts)

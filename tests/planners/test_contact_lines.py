@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from slipmap.models.objects import contour_cells
+from slipmap.models.objects import cells_from_polygon, contour_cells
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.contact import gap
@@ -68,6 +68,35 @@ def test_perturbed_lines_stay_near_those_that_were_chosen():
     assert np.abs(near.angles - lines.angles[3]).max() < 0.1
     both = lines.joined(near)
     assert both.places.tolist() == [*lines.places, *near.places]
+
+
+def ring(inner):
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    return cells_from_polygon(0.06 * circle, [inner * circle], count=40)
+
+
+def test_lines_begin_in_an_opening_that_is_wide_enough_and_stay_there():
+    grid = ring(0.04)
+    contour, rng = ContactContour(grid, RADIUS, APPROACH), np.random.default_rng(0)
+    lines = contour.spread(NOWHERE, 60, CONE, rng)
+    inside = np.hypot(*lines.touches.T) < 0.04
+    assert 10 < inside.sum() < 50
+    assert gap(lines.touches, RADIUS, grid.edges) == pytest.approx(0, abs=1e-8)
+    assert gap(lines.touches - APPROACH * lines.directions, RADIUS, grid.edges).min() > DESCENT - 1e-8
+    # Along both rings, neighbours of a line lie on its own ring, though it begins where the other one ends.
+    for first in (np.argmin(np.where(inside, lines.places, np.inf)), np.argmax(lines.places * ~inside)):
+        near = contour.near(lines, np.array([first]), 40, 0.01, 0.0, CONE, rng)
+        assert (np.hypot(*(near.touches - lines.touches[first]).T) < 0.05).all() and len(near) > 20
+        assert ((np.hypot(*near.touches.T) < 0.04) == inside[first]).all()
+    # The paper's rule is for a finger outside.
+    place = contour.nearest_to_axis(np.zeros(2), np.array([[0.1, 0.0]]))
+    assert contour.lines(place, np.zeros(1)).touches[0] == pytest.approx([-0.06 - RADIUS, 0.0], abs=1e-3)
+
+
+def test_an_opening_that_is_too_narrow_has_no_lines():
+    lines = ContactContour(ring(0.015), RADIUS, APPROACH).spread(NOWHERE, 60, CONE, np.random.default_rng(0))
+    assert np.hypot(*lines.touches.T).min() > 0.06
 
 
 def test_a_finger_that_fits_nowhere_is_refused():

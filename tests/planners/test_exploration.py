@@ -25,13 +25,19 @@ def fork(slot: float = 0.01) -> CellGrid:
     return cells_from_polygon(np.array(corners) * 0.01, width=0.01)
 
 
+def frame(opening: float = 0.05) -> CellGrid:
+    """A square of 8 cm with a square opening around its middle."""
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    return cells_from_polygon(0.08 * square, [opening * square], width=0.01)
+
+
 def finger_places(candidate: Candidate, count: int = 200) -> np.ndarray:
     """Centres of the finger on its way to first touch, the last one there."""
     back = np.linspace(candidate.approach, 0.0, count)
     return candidate.touch - back[:, None] * candidate.direction
 
 
-@pytest.mark.parametrize("grid", [rectangle(), fork()], ids=["rectangle", "fork"])
+@pytest.mark.parametrize("grid", [rectangle(), fork(), frame()], ids=["rectangle", "fork", "frame"])
 def test_finger_touches_first_at_the_contact_point(grid):
     for candidate in candidate_pushes(grid, RADIUS, np.random.default_rng(1), 60):
         gaps = gap(finger_places(candidate), RADIUS, grid.edges)
@@ -49,6 +55,17 @@ def test_finger_does_not_go_where_it_does_not_fit():
     assert not in_slot[points[:, 1] > -0.0399].any()
     wide = candidate_pushes(fork(slot=0.03), RADIUS, np.random.default_rng(2), 80)
     assert any(abs(c.contact[0]) < 0.0151 and abs(c.contact[1]) < 0.039 for c in wide)
+
+
+@pytest.mark.parametrize(("opening", "inside"), [(0.05, True), (0.025, False)])
+def test_the_finger_pushes_from_inside_openings_in_which_it_can_come_down(opening, inside):
+    grid = frame(opening)
+    pushes = candidate_pushes(grid, RADIUS, np.random.default_rng(2), 80)
+    begins = np.array([finger_places(candidate)[0] for candidate in pushes])
+    assert (np.abs(begins).max(axis=1) < 0.025).any() == inside
+    assert gap(begins, RADIUS, grid.edges).min() > DESCENT - 1e-8
+    outwards = [c for c in pushes if c.contact @ c.direction > 0.0]
+    assert bool(outwards) == inside and all(np.abs(c.contact).max() < 0.0251 for c in outwards)
 
 
 def test_the_finger_comes_down_with_room_around_it():

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push
@@ -48,6 +50,19 @@ def test_a_target_that_some_push_reaches_is_reached(seed):
     assert planned.pushes < 1.3
     assert planned.predicted.shape == (20, 3)
     assert metric.gap(planned.predicted, world.pose).mean() == pytest.approx(planned.gap, abs=0.005)
+
+
+def test_a_frame_is_pushed_from_inside_where_that_is_best():
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    gaps = []
+    for opening in (0.09, 0.02):  # too narrow for the finger
+        grid = cells_from_polygon(0.13 * square, [opening * square], count=60)
+        even = np.full(len(grid), 0.01)
+        belief = belief_about(SimpleNamespace(grid=grid, mu=30.0 * even, mass=even, mu_finger=0.3))
+        planned = plan([0.15, 0.0, 0.0], pose=np.zeros(3), belief=belief)
+        assert (np.abs(planned.push.begin).max() < 0.045) == (opening == 0.09)
+        gaps.append(planned.gap)
+    assert gaps[0] < gaps[1]
 
 
 def test_no_push_over_the_edge_even_where_the_target_is_there():

@@ -12,7 +12,13 @@ import click
 
 from slipmap.diagrams.application.commands.options import Option, complete_objects, path_option
 from slipmap.diagrams.application.outputs import check_output
-from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, wait_for_enter
+from slipmap.diagrams.application.terminal import (
+    Progress,
+    note,
+    prepare_kernels,
+    wait_for_enter,
+    warnings_noted,
+)
 from slipmap.diagrams.hardware.network import LCM_URL
 from slipmap.models.files import BadInput, write_text
 
@@ -195,7 +201,8 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
     try:
         scenario = Scenario() if path is None else read_scenario(path, object_name)
         scenario.object.name = object_name or scenario.object.name
-        thing = scenario.object.make()
+        with warnings_noted():
+            thing = scenario.object.make()
     except BadInput:
         raise
     except ValueError as error:
@@ -218,13 +225,12 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
 
 
 def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
+    from slipmap.diagrams.application.commands.describe_object import size_in_words
     from slipmap.models.objects.meshes import up_axis
 
     assert settings.mesh is not None
-    corners = thing.grid.exterior
-    size = " by ".join(f"{1e3 * side:.0f} mm" for side in corners.max(axis=0) - corners.min(axis=0))
-    axis = settings.up or up_axis(settings.mesh)
-    note(f"object {thing.name}: {size}, {1e3 * thing.height.max():.3g} mm high with {axis} up")
+    axis, height = settings.up or up_axis(settings.mesh), 1e3 * thing.height.max()
+    note(f"object {thing.name}: {size_in_words(thing.grid)}, {height:.3g} mm high with {axis} up")
 
 
 def leave(

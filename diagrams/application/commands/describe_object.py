@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands.options import Option, count_option, output_option
-from slipmap.diagrams.application.terminal import note, printable
+from slipmap.diagrams.application.terminal import note, printable, warnings_noted
 from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
@@ -86,13 +86,16 @@ def describe_object(
     for warning in warnings:
         note(f"warning: {warning}")
     write_text(output, yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
-    low, high = setup.grid.exterior.min(axis=0), setup.grid.exterior.max(axis=0)
-    size = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low)
-    holes = len(setup.grid.holes)
-    openings = f" with {holes} opening{'s' * (holes > 1)}" if holes else ""
     cut = f"{len(setup.grid)} cells of {1e3 * setup.grid.width:.1f} mm"
-    click.echo(f"{printable(file.stem)}: {size}{openings}{standing}, {cut}")
+    click.echo(f"{printable(file.stem)}: {size_in_words(setup.grid)}{standing}, {cut}")
     note(f"description: {output}; use it with --object {output}")
+
+
+def size_in_words(grid: CellGrid) -> str:
+    """Width and depth of an object, and the number of its openings."""
+    low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
+    size, holes = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low), len(grid.holes)
+    return f"{size} with {holes} opening{'s' * (holes > 1)}" if holes else size
 
 
 def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:
@@ -122,7 +125,8 @@ def _modelled(
     try:
         axis = up or meshes.up_axis(file)
         direction = meshes.DIRECTIONS[axis]
-        grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
+        with warnings_noted():
+            grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
         height = float(meshes.upright_mesh(file, direction, metres_per_unit).bounds[1, 2])
     except ValueError as error:
         raise BadInput(str(error).replace("metres_per_unit=", "--metres-per-unit ")) from error

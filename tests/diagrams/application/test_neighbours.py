@@ -57,6 +57,22 @@ def test_results_appear_together_or_not_at_all(tmp_path):
     assert files_in(tmp_path) == ["belief.json", "report.html"]
 
 
+def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    left = [f".slipmap.{gone.pid}.0.belief.json", f".slipmap.{gone.pid}.abcd"]
+    kept = [f".slipmap.{os.getpid()}.9.other.json", f".{gone.pid}.belief.json", ".slipmap.mine"]
+    for name in (left[0], *kept):
+        (tmp_path / name).touch()
+    (tmp_path / left[1]).mkdir()
+    write_json(tmp_path / "belief.json", {})
+    assert files_in(tmp_path) == sorted([*kept, "belief.json"]) and not (tmp_path / left[1]).exists()
+    (tmp_path / left[0]).touch()
+    with together():
+        write_json(tmp_path / "belief.json", {})
+    assert files_in(tmp_path) == sorted([*kept, "belief.json"])
+
+
 def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeypatch):
     replace = os.replace
 
@@ -140,6 +156,53 @@ def test_ctrl_c_after_the_end_does_not_spoil_it():
     assert (done.returncode, done.stderr) == (0, b"") and done.stdout
 
 
+LOST = """
+import os, signal, time
+from slipmap.diagrams.application import command_line
+
+class Deleted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+def work(*_, **__):
+    Deleted()
+    time.sleep(60)
+
+command_line.slipmap.main = work
+command_line.main()
+"""
+
+
+def test_ctrl_c_while_an_object_is_deleted_is_heard():
+    done = subprocess.run(
+        [sys.executable, "-c", LOST], env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50
+    )
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
+COMMAND_STOPPED = """
+from slipmap.diagrams.application import command_line
+command_line.slipmap.main = lambda *_, **__: exec("raise KeyboardInterrupt")
+command_line.main()
+"""
+IMPORT_STOPPED = """
+import builtins
+from slipmap.__main__ import main
+builtins.__import__ = lambda *_, **__: exec("raise KeyboardInterrupt")
+main()
+"""
+
+
+@pytest.mark.parametrize("script", [COMMAND_STOPPED, IMPORT_STOPPED], ids=["command", "import"])
+def test_ctrl_c_within_exec_has_the_usual_exit_code(tmp_path, script):
+    """As while an imported module makes a dataclass; `python -m` then remembers to end by the signal."""
+    (tmp_path / "stopped.py").write_text(script)
+    command = [sys.executable, "-m", "stopped"]
+    done = subprocess.run(command, env=ENVIRONMENT, cwd=tmp_path, capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     evil = "a\x1b]0;title\x07\x9b31m\u202eb\rc"
     assert printable(evil) == r"a\x1b]0;title\x07\x9b31m\u202eb\rc"
@@ -150,6 +213,26 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     terminal.table(evil, ["name"], [[evil]])
     said = capsys.readouterr()
     assert not any(character in said.out + said.err for character in "\x1b\x07\x9b\u202e\r")
+
+
+def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
+    from numba.core import event
+
+    now = 0.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    monkeypatch.setattr(event, "timer", lambda: now)
+    monkeypatch.setattr(terminal, "_compiling", [])
+    terminal.prepare_kernels()
+    pace = terminal._Pace(0)
+    with event.trigger_event("numba:compile"):
+        now = 10.0
+        with event.trigger_event("numba:compile"):
+            now = 30.0
+    pace.note(1, 100)
+    assert pace.left() is None  # one of a hundred says little
+    now = 32.0
+    pace.note(4, 100)
+    assert pace.left() == pytest.approx(96 * 0.5)
 
 
 def test_parts_that_come_at_once_do_not_promise_an_early_end(monkeypatch):

@@ -42,6 +42,15 @@ def test_a_mesh_becomes_an_object(slipmap, tmp_path, bracket):
     assert dataset.warnings == ()
 
 
+def test_gaps_that_are_closed_are_told(slipmap, tmp_path):
+    parts = [trimesh.creation.box((0.1, 0.02, 0.02)) for _ in range(2)]
+    parts[1].apply_translation((0.1 + 5e-5, 0.0, 0.0))
+    trimesh.util.concatenate(parts).export(tmp_path / "bar.stl")
+    dataset, said = described(slipmap, tmp_path, tmp_path / "bar.stl")
+    assert len(dataset.grid.exterior) == 4
+    assert "between 2 parts closed" in said.err
+
+
 def test_a_picture_becomes_an_object(slipmap, tmp_path):
     labels = np.zeros((60, 100), np.uint8)
     labels[10:40, 20:80] = 1

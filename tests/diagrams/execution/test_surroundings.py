@@ -16,8 +16,11 @@ from slipmap.diagrams.execution.push_executor import PERIOD, PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, add_arm, arm_model
 from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.geometry import seen_from
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.models.physics.contact import gap
+from slipmap.planners.exploration import candidate_pushes
 from slipmap.planners.table_push import TablePush
 from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
 
@@ -88,6 +91,25 @@ def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
     ]
     times = np.linspace(0.0, plans[0].duration, 20)
     np.testing.assert_array_equal(*[[plan.at(time)[1] for time in times] for plan in plans])
+
+
+def test_the_finger_is_lowered_into_an_opening_and_leaves_it_upwards(kinematics):
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    frame, radius, height = cells_from_polygon(0.13 * square, [0.09 * square], count=40), 0.008, 0.03
+    around = Surroundings(ArmClearance(ROUND_TABLE), Obstacle(frame, np.full(len(frame), height), POSE))
+    drawn = candidate_pushes(frame, radius, np.random.default_rng(0), 60, length=(0.05, 0.05))
+    inside = [candidate for candidate in drawn if candidate.contact @ candidate.direction > 0.0]
+    assert len(inside) > 10
+    for candidate in inside[:4]:
+        push = TablePush(*candidate.way_at(POSE, candidate.length), 0.06)
+        plan = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(push, HOME, around)
+        pushing = [phase.mode for phase in plan.phases].index("pushing")
+        for number, phase in enumerate(plan.phases):
+            moved = candidate.length * push.direction * (number > pushing)
+            for time in np.linspace(0.0, phase.duration, 20):
+                tip = kinematics.pose(phase.trajectory.value(time)[:, 0]).translation()
+                away = gap(seen_from(tip[None, :2] - moved, POSE), radius, frame.edges)[0]
+                assert tip[2] > height or number == pushing or away > (0.007 if number < pushing else -1e-4)
 
 
 def test_what_is_too_high_for_the_arm_is_not_pushed(kinematics):

@@ -107,6 +107,20 @@ def test_holes_are_not_contour():
     assert np.all(np.sum(points * normals, axis=1) > 0)
 
 
+def test_openings_that_hold_a_disc_are_contour_after_the_exterior():
+    grid = cells_from_polygon(circle(0.1), [circle(0.04)], width=0.01)
+    outer, outer_points, _ = contour_cells(grid)
+    indices, points, normals = contour_cells(grid, 0.039)
+    assert indices[: len(outer)].tolist() == outer.tolist()
+    assert_allclose(points[: len(outer)], outer_points)
+    inner = points[len(outer) :]
+    assert len(inner) > 15 and len(set(indices[len(outer) :])) == len(inner)
+    assert_allclose(np.linalg.norm(inner, axis=1), 0.04, atol=1e-5)
+    assert_allclose(normals[len(outer) :], -inner / 0.04, atol=0.01)
+    assert np.all(np.diff(np.unwrap(np.arctan2(*inner.T[::-1]))) < 0), "not clockwise"
+    assert len(contour_cells(grid, 0.041)[0]) == len(outer)
+
+
 def test_slot_is_contour():
     # A comb: 3 × 3 cells with the middle of the top row cut out.
     cells = [c for c in square_cells(3, 3, 1.0) if tuple(c) != (1.0, 2.0)]
