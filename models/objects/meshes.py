@@ -1,6 +1,7 @@
 """Triangle meshes: reading them, or a link of a URDF or SDF, upright and in metres; cell grids from
 silhouettes, solids over an outline, and OBJ text with normals for renderers."""
 
+import logging
 import re
 import warnings
 from collections.abc import Sequence
