@@ -151,7 +151,7 @@ def test_viscous_and_stribeck_are_told_apart_by_speed(world: World) -> None:
         claimed = told["separation"]
         assert apart(world, told, viscous, stribeck) == pytest.approx(claimed, rel=0.03)
         assert claimed > 1.4 * apart(world, told | {"speed": SPEED}, viscous, stribeck)
-        assert "viscous_friction: " in told["sentence"]
+        assert "(viscous_friction)" in told["sentence"]
 
 
 def test_tilt_and_tether_are_told_apart_by_a_reversed_push_or_another_place(world: World) -> None:
