@@ -53,6 +53,7 @@ class NormalEquations:
     cost: FloatArray  # (K, B) robust cost of each push, including the prior of its start offset
     hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
     gradient: FloatArray  # (K, d)
+    push_gradient: FloatArray  # (B, K, d) of each push, unweighted
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
@@ -119,7 +120,7 @@ class PushLikelihood(ABC):
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
-        couplings = np.empty((B, K, d, 3))
+        couplings, push_gradients = np.empty((B, K, d, 3)), np.empty((B, K, d))
         for b, rollouts, place in self._rolled_out(maps, offsets, P):
             J, r, own = self._whitened(rollouts, b, place)
             p = J.shape[-1]
@@ -138,9 +139,10 @@ class PushLikelihood(ABC):
             reduced_gradient[:, :p] += w[:, None] * own_gradient
             gains[b], start_gradients[b] = gain, start_gradient
             couplings[b] = by_column[..., :p] @ coupling
+            push_gradients[b] = (by_column[..., :p] @ own_gradient[..., None])[..., 0]
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
-        return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
+        return NormalEquations(cost, hessian, gradient, push_gradients, gains, start_gradients, couplings)
 
     def _rolled_out(
         self, maps: Maps, offsets: FloatArray, columns: int

@@ -10,8 +10,16 @@ from slipmap.diagrams.application.reports.effect_words import effect_in_words, p
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis.results import CandidateResult, Diagnosis, ParameterEstimate
-from slipmap.models.inference.diagnosis.several import DatasetResult, JointDiagnosis
+from slipmap.models.inference.diagnosis.results import (
+    CandidateResult,
+    DatasetResult,
+    Diagnosis,
+    JointCandidate,
+    JointDiagnosis,
+    JointIdentification,
+    ParameterEstimate,
+)
+from slipmap.models.inference.diagnosis.several import EVIDENCE
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
@@ -255,43 +263,76 @@ def _show_locked(diagnosis: Diagnosis) -> None:
     table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))
 
 
-def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
-    """Print a joint diagnosis; `grid` is that of one object, whose size some effects depend on."""
-    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    for name in diagnosis.effects:
-        estimates = [p for p in diagnosis.parameters if p.effect == name]
-        if estimates:
-            paragraph(f"{name}: {effect_in_words(name, estimates, grid)}.")
-    paragraph(where_it_falls(diagnosis))
-    paragraph(f"Next: {diagnosis.next_step()}")
-    click.echo()
-    table(
-        "Effects that were tried; gains and evidence in nats (natural logarithms of probability ratios)",
-        ["effect", "gain", "refitted", "evidence", "status"],
+def joint_sizes(found: JointDiagnosis | JointIdentification, grid: CellGrid) -> list[str]:
+    """The name and size of each shared effect, in words; `grid` is that of one object, whose size some
+    effects depend on."""
+    by_name = {name: [p for p in found.parameters if p.effect == name] for name in found.effects}
+    return [f"{name}: {effect_in_words(name, own, grid)}." for name, own in by_name.items() if own]
+
+
+def joint_ranking(diagnosis: JointDiagnosis) -> list[list[str]]:
+    """Name, first gain, p, refitted gain, evidence and status of each candidate."""
+    return [
         [
-            [
-                c.name,
-                nats(c.first_gain),
-                nats(c.gain),
-                nats(c.evidence),
-                "not ruled out" if c.in_set else c.objection or "ruled out: others explain more",
-            ]
-            for c in diagnosis.candidates
-        ],
-        numbers=(1, 2, 3),
-    )
-    table(
-        "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
-        " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone",
-        ["dataset", "open", "locked", "without", "with", "fall", "fitted alone"],
-        [_row(one) for one in diagnosis.datasets],
-        numbers=(1, 2, 3, 4, 5),
-    )
+            c.name,
+            nats(c.first_gain),
+            p_shown(c.p_value),
+            nats(c.gain),
+            nats(c.evidence),
+            _joint_standing(c),
+        ]
+        for c in diagnosis.candidates
+    ]
 
 
-def where_it_falls(diagnosis: JointDiagnosis) -> str:
+def _joint_standing(candidate: JointCandidate) -> str:
+    """Whether several datasets rule a candidate out, and why."""
+    if candidate.in_set:
+        return "not ruled out"
+    if candidate.evidence is None:
+        return "behind others to first order"
+    few = "explains too little" if candidate.evidence <= EVIDENCE else "others explain more"
+    return candidate.objection or few
+
+
+JOINT_RANKING = ("effect", "gain", "p", "refitted", "evidence", "status")
+JOINT_DATASETS = ("dataset", "open", "locked", "without", "with", "fall", "fitted alone")
+
+JOINT_GAINS = "Effects that were tried; gains and evidence in nats (natural logarithms of probability ratios)"
+JOINT_ERRORS = (
+    "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
+    " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone"
+)
+
+
+def joint_rows(datasets: Sequence[DatasetResult]) -> list[list[str]]:
+    """Rows of a table with the columns `JOINT_DATASETS`."""
+    return [_row(one) for one in datasets]
+
+
+def show_together(diagnosis: JointDiagnosis, grid: CellGrid, where: str = "DATASET...") -> None:
+    """Print a joint diagnosis; `grid` as in `joint_sizes`, `where` names the datasets in a command."""
+    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
+    for text in (*joint_sizes(diagnosis, grid), where_it_falls(diagnosis)):
+        paragraph(text)
+    paragraph(f"Next: {diagnosis.next_step(where)}")
+    click.echo()
+    table(JOINT_GAINS, JOINT_RANKING, joint_ranking(diagnosis), numbers=(1, 2, 3, 4))
+    table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(diagnosis.datasets), numbers=(1, 2, 3, 4, 5))
+
+
+def show_joint_fit(found: JointIdentification, grid: CellGrid) -> None:
+    """Print a joint fit; `grid` as in `joint_sizes`."""
+    paragraph(f"{found.sentence} Evidence from the open pushes: {nats(found.evidence)} nats.")
+    for text in (*joint_sizes(found, grid), where_it_falls(found)):
+        paragraph(text)
+    click.echo()
+    table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))
+
+
+def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
     """On which datasets the answer predicts the locked pushes better; empty without an answer."""
-    falls = {one.name: one.fall for one in diagnosis.datasets if one.fall is not None}
+    falls = {one.name: one.fall for one in found.datasets if one.fall is not None}
     if not falls:
         return ""
     against = [name for name, fall in falls.items() if fall <= 0.0]
@@ -299,10 +340,9 @@ def where_it_falls(diagnosis: JointDiagnosis) -> str:
     if against:
         better = len(falls) - len(against)
         which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
-    return (
-        f"With {diagnosis.effects[0]}, the locked pushes of {which}. Their total cost falls by"
-        f" {nats(diagnosis.fall)} nats."
-    )
+    alternatives = isinstance(found, JointDiagnosis)
+    names = found.effects[0] if alternatives else " and ".join(found.effects)
+    return f"With {names}, the locked pushes of {which}. Their total cost falls by {nats(found.fall)} nats."
 
 
 def _row(one: DatasetResult) -> list[str]:

@@ -87,7 +87,7 @@ def test_nothing_is_named_behind_an_effect_that_fails_in_one_dataset_but_explain
 
     monkeypatch.setattr(several._Inquiry, "_judge", judge)
     monkeypatch.setattr(several._Inquiry, "_there", lambda self, one: True)
-    monkeypatch.setattr(several, "_EVIDENCE", -np.inf)
+    monkeypatch.setattr(several, "EVIDENCE", -np.inf)
     pair = [late(recorded.dataset, 0.03, "first"), late(recorded.dataset, 0.03, "second")]
 
     undecided = diagnose_together(pair, effects=[SensorLatency(), TrackerScale()])
