@@ -361,6 +361,11 @@ class JointFit:
         prior = self.likelihood.parts[k].prior  # type: ignore[attr-defined]
         return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0]
 
+    @property
+    def scales(self) -> FloatArray:
+        """(P,) standard deviations of the parameters in the prior."""
+        return self.likelihood.parts[0].prior.effect_scales  # type: ignore[attr-defined]
+
     def deviations(self, k: int) -> FloatArray:
         """(P,) their standard deviations, marginal over everything else."""
         joint = self.likelihood.prior

@@ -169,13 +169,12 @@ def _compare_together(
         write_text(output, text)
         write_json(json_file, result.to_json())
     from slipmap.diagrams.application.reports.comparison_words import joint_findings
-    from slipmap.diagrams.application.reports.diagnosis_words import show_joint_fit
+    from slipmap.diagrams.application.reports.diagnosis_words import joint_fit_findings
     from slipmap.diagrams.application.reports.tables import show_joint_comparison
 
-    if result.fitted is not None:
-        show_joint_fit(result.fitted, measured[0].grid)
+    told = [] if result.fitted is None else joint_fit_findings(result.fitted, measured[0].grid)
     show_joint_comparison(result)
-    for text in joint_findings(result):
+    for text in (*told, *joint_findings(result)):
         paragraph(text)
     note(f"report: {output}")
 

@@ -321,10 +321,15 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid, where: str = "DATAS
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(diagnosis.datasets), numbers=(1, 2, 3, 4, 5))
 
 
+def joint_fit_findings(found: JointIdentification, grid: CellGrid) -> list[str]:
+    """The findings of a joint fit, one paragraph each; `grid` as in `joint_sizes`."""
+    first = f"{found.sentence} Evidence from the open pushes: {nats(found.evidence)} nats."
+    return [first, *joint_sizes(found, grid), where_it_falls(found)]
+
+
 def show_joint_fit(found: JointIdentification, grid: CellGrid) -> None:
     """Print a joint fit; `grid` as in `joint_sizes`."""
-    paragraph(f"{found.sentence} Evidence from the open pushes: {nats(found.evidence)} nats.")
-    for text in (*joint_sizes(found, grid), where_it_falls(found)):
+    for text in joint_fit_findings(found, grid):
         paragraph(text)
     click.echo()
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))

@@ -379,8 +379,8 @@ class _Inquiry:
     def _told_by_others(self, fit: JointFit, k: int) -> tuple[FloatArray, FloatArray]:
         """Values (P,) and standard deviations of the effects' parameters to expect in dataset k, before its
         own pushes are seen: from the other datasets, for parameters that they share."""
-        place, joint = self._place(k), fit.likelihood.prior
-        values, scales = self._values(fit, k), joint.effect_scales[: len(fit.values(0))].copy()
+        place, values = self._place(k), self._values(fit, k)
+        scales = np.array(fit.scales)
         centers = np.concatenate([effect.nulls for effect in fit.effects])
         alone = [fit.alone(j) for j in range(len(self.asked))]
         amplitudes = np.concatenate([effect.amplitudes for effect in fit.effects])
