@@ -213,6 +213,7 @@ class FirstGain:
 
     effect: Effect
     gain: float  # drop in cost, nats
+    evidence: float  # the same less what the parameters would gain anyway (Laplace)
     start: FloatArray  # (P,) parameters, the amplitudes at their nulls
     p_value: float | None  # share of random signs under which the largest gain of all is at least this
 
@@ -261,7 +262,7 @@ class Together:
         rng: np.random.Generator | None = None,
     ) -> list[FirstGain]:
         """Gain of each effect with all maps refitted, to first order, from at most `_SCREENED` pushes per
-        dataset; the largest first.
+        dataset; first those of the largest evidence (the gain, less what the parameters would gain anyway).
 
         By chance alone, the residuals of any push could equally well have had the opposite sign. So the
         p-values compare with the largest gain over all effects when whole pushes change sign at random.
@@ -277,6 +278,7 @@ class Together:
         starts = [effect.start_values(scene) for effect in effects]
         at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
         gains: list[list[FloatArray]] = [[] for _ in effects]  # by start: of the data, then of each pattern
+        occam: list[list[float]] = [[] for _ in effects]
         rounds = max(len(start) for start in starts)
         few = [one.few(_SCREENED) for one in self.taught]
         likelihoods = [one.likelihood(effects, self.weight) for one in few]
@@ -299,17 +301,19 @@ class Together:
                     normals, slopes = zip(*said[i], strict=True)
                     said[i] = [(np.sum(normals, axis=0), np.sum(slopes, axis=0))]
                 gains[i].append(np.sum([_fall(normal, slope) for normal, slope in said[i]], axis=0))
+                occam[i].append(sum(_occam(normal) for normal, _ in said[i]))
         tried = [np.array(own) for own in gains]
         chance = np.max([own[:, 1:].max(axis=0) for own in tried], axis=0)
 
         def p_value(gain: float) -> float | None:
             return float((1 + (chance >= gain).sum()) / (1 + draws)) if draws else None
 
-        found = [
-            FirstGain(effect, gain := float(own[:, 0].max()), start[int(np.argmax(own[:, 0]))], p_value(gain))
-            for effect, own, start in zip(effects, tried, starts, strict=True)
-        ]
-        return sorted(found, key=lambda one: -one.gain)
+        found = []
+        for effect, own, start, spent in zip(effects, tried, starts, occam, strict=True):
+            best = int(np.argmax(own[:, 0]))
+            gain = float(own[best, 0])
+            found.append(FirstGain(effect, gain, gain - spent[best], start[best], p_value(gain)))
+        return sorted(found, key=lambda one: -one.evidence)
 
     def fitted(self, effects: Sequence[Effect], starts: Sequence[FloatArray]) -> JointFit:
         """Fit the model with some effects, from parameters (P,) of each.
@@ -349,8 +353,7 @@ class JointFit:
     @property
     def occam(self) -> float:
         """½ log det of the posterior's precision, in units of the prior's."""
-        size = self.likelihood.prior.size
-        return 0.5 * float(np.linalg.slogdet(self.found.hessian[0] + np.eye(size))[1])
+        return _occam(self.found.hessian[0])
 
     def evidence(self, base: JointFit) -> float:
         """Log probability of the pushes over that of a model without effects (Laplace), nats."""
@@ -407,6 +410,11 @@ def _eliminated(
     solved = np.linalg.solve(hessian[np.ix_(maps, maps)] + np.eye(len(maps)), columns)
     normal = hessian[np.ix_(own, own)] - across.T @ solved[:, : len(own)]
     return normal, slopes[own] - across.T @ solved[:, len(own) :]
+
+
+def _occam(normal: FloatArray) -> float:
+    """½ log det of the posterior's precision, in units of the prior's, from the data's normal matrix."""
+    return 0.5 * float(np.linalg.slogdet(normal + np.eye(len(normal)))[1])
 
 
 def _fall(normal: FloatArray, slopes: FloatArray) -> FloatArray:

@@ -172,7 +172,7 @@ def _compare_together(
     from slipmap.diagrams.application.reports.diagnosis_words import joint_fit_findings
     from slipmap.diagrams.application.reports.tables import show_joint_comparison
 
-    told = [] if result.fitted is None else joint_fit_findings(result.fitted, measured[0].grid)
+    told = [] if result.fitted is None else joint_fit_findings(result.fitted, measured)
     show_joint_comparison(result)
     for text in (*told, *joint_findings(result)):
         paragraph(text)
@@ -314,5 +314,5 @@ def _diagnose_together(
             write_json(json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_together
 
-    show_together(result, measured[0].grid, where)
+    show_together(result, measured, where)
     note(f"report: {output}")

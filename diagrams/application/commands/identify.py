@@ -197,7 +197,7 @@ def _fit_together(
             write_json(json_file, {**result.to_json(), "beliefs": [str(belief) for belief in beliefs]})
     from slipmap.diagrams.application.reports.diagnosis_words import show_joint_fit
 
-    show_joint_fit(result, measured[0].grid)
+    show_joint_fit(result, measured)
     for belief, paths in zip(beliefs, drawn, strict=True):
         tell_files(belief, paths)
 

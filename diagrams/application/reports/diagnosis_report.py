@@ -46,7 +46,7 @@ def diagnosis_report(
         f" effects tried in {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
     )
     lead = [
-        *phrases.sizes(diagnosis, dataset.grid),
+        *phrases.sizes(diagnosis, [dataset]),
         phrases.improvement(diagnosis),
         phrases.rivals_sentence(diagnosis),
     ]
@@ -76,13 +76,13 @@ def joint_report(
     diagnosis: JointDiagnosis, datasets: Sequence[PushDataset], effects: Sequence[Effect], where: str
 ) -> str:
     """The report of a joint diagnosis, a whole HTML document; arguments as in `diagnosis_report`."""
-    count, grid = sum(len(dataset.trials) for dataset in datasets), datasets[0].grid
+    count = sum(len(dataset.trials) for dataset in datasets)
     subtitle = (
         f"{count} measured pushes of {len(datasets)} datasets, {len(effects)} effects tried in"
         f" {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
     )
     lead = [
-        *phrases.joint_sizes(diagnosis, grid),
+        *phrases.sizes(diagnosis, datasets),
         phrases.where_it_falls(diagnosis),
         f"Next: {diagnosis.next_step(where)}",
     ]

@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from slipmap.diagrams.application.reports.comparison_words import millimetres
-from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
+from slipmap.diagrams.application.reports.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
@@ -22,7 +22,6 @@ from slipmap.models.inference.diagnosis.results import (
 from slipmap.models.inference.diagnosis.several import EVIDENCE
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import CellGrid
 
 QUICK = (
     "A quick look: at most ten pushes, with larger steps. Chance was not simulated, so there are no"
@@ -82,16 +81,6 @@ def probe_sentence(name: str) -> str:
         if probe.name == name:
             return f"{probe.sentence[0].lower()}{probe.sentence[1:].rstrip('.')}"
     return ""
-
-
-def sizes(diagnosis: Diagnosis, grid: CellGrid) -> list[str]:
-    """The name and size of each effect of the answer, in words."""
-    told = []
-    for name in diagnosis.effects:
-        estimates = [p for p in diagnosis.parameters if p.effect == name]
-        if estimates:
-            told.append(f"{name}: {effect_in_words(name, estimates, grid)}.")
-    return told
 
 
 def evidence(diagnosis: Diagnosis) -> str:
@@ -224,7 +213,7 @@ def show_diagnosis(
 ) -> None:
     """Print a diagnosis of a dataset; `effects` are all that were tried, `where` is the dataset's path."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
+    for text in (*sizes(diagnosis, [dataset]), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)
     paragraph(QUICK if diagnosis.quick else "")
     if diagnosis.without_effects.share_of_known == 0.0:
@@ -263,11 +252,17 @@ def _show_locked(diagnosis: Diagnosis) -> None:
     table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))
 
 
-def joint_sizes(found: JointDiagnosis | JointIdentification, grid: CellGrid) -> list[str]:
-    """The name and size of each shared effect, in words; `grid` is that of one object, whose size some
-    effects depend on."""
-    by_name = {name: [p for p in found.parameters if p.effect == name] for name in found.effects}
-    return [f"{name}: {effect_in_words(name, own, grid)}." for name, own in by_name.items() if own]
+def sizes(
+    found: Diagnosis | JointDiagnosis | JointIdentification, datasets: Sequence[PushDataset]
+) -> list[str]:
+    """The name and size of each effect of the answer, or of those that several datasets share, in words."""
+    told = []
+    for name in found.effects:
+        estimates = [p for p in found.parameters if p.effect == name]
+        if estimates:
+            words = effect_in_words(name, estimates, datasets[0].grid)
+            told.append(f"{name}: {words}{in_the_middle(name, estimates, datasets)}.")
+    return told
 
 
 def joint_ranking(diagnosis: JointDiagnosis) -> list[list[str]]:
@@ -310,10 +305,12 @@ def joint_rows(datasets: Sequence[DatasetResult]) -> list[list[str]]:
     return [_row(one) for one in datasets]
 
 
-def show_together(diagnosis: JointDiagnosis, grid: CellGrid, where: str = "DATASET...") -> None:
-    """Print a joint diagnosis; `grid` as in `joint_sizes`, `where` names the datasets in a command."""
+def show_together(
+    diagnosis: JointDiagnosis, datasets: Sequence[PushDataset], where: str = "DATASET..."
+) -> None:
+    """Print a joint diagnosis of datasets; `where` names them in a command."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    for text in (*joint_sizes(diagnosis, grid), where_it_falls(diagnosis)):
+    for text in (*sizes(diagnosis, datasets), where_it_falls(diagnosis)):
         paragraph(text)
     paragraph(f"Next: {diagnosis.next_step(where)}")
     click.echo()
@@ -321,15 +318,15 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid, where: str = "DATAS
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(diagnosis.datasets), numbers=(1, 2, 3, 4, 5))
 
 
-def joint_fit_findings(found: JointIdentification, grid: CellGrid) -> list[str]:
-    """The findings of a joint fit, one paragraph each; `grid` as in `joint_sizes`."""
+def joint_fit_findings(found: JointIdentification, datasets: Sequence[PushDataset]) -> list[str]:
+    """The findings of a joint fit of datasets, one paragraph each."""
     first = f"{found.sentence} Evidence from the open pushes: {nats(found.evidence)} nats."
-    return [first, *joint_sizes(found, grid), where_it_falls(found)]
+    return [first, *sizes(found, datasets), where_it_falls(found)]
 
 
-def show_joint_fit(found: JointIdentification, grid: CellGrid) -> None:
-    """Print a joint fit; `grid` as in `joint_sizes`."""
-    for text in joint_fit_findings(found, grid):
+def show_joint_fit(found: JointIdentification, datasets: Sequence[PushDataset]) -> None:
+    """Print a joint fit of datasets."""
+    for text in joint_fit_findings(found, datasets):
         paragraph(text)
     click.echo()
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))

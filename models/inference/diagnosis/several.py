@@ -316,7 +316,7 @@ class _Inquiry:
                 any(one.effect.name == rival.name for rival in kept),
                 objections.get(one.effect.name),
             )
-            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.gain - 1e6))
+            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
         )
         return self._answer(kept, judged, candidates)
 

@@ -11,6 +11,7 @@ import slipmap as slipmap_package
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 from slipmap.diagrams.application.reports.diagnosis_words import show_together, where_it_falls
+from slipmap.diagrams.application.reports.effect_words import in_the_middle
 from slipmap.diagrams.application.reports.tables import joint_rows
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.comparison import Comparison, JointComparison, totals
@@ -24,10 +25,7 @@ from slipmap.models.inference.diagnosis.results import (
 )
 from slipmap.models.inference.residual_structure import Pattern
 from slipmap.models.measurements import write_dataset
-from slipmap.models.objects import cells_from_polygon
 from tests.made_predictions import made_prediction
-
-SQUARE = cells_from_polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]], count=9)
 
 
 def made(*falls, verdict="effect"):
@@ -61,7 +59,8 @@ def test_where_locked_pushes_are_not_better_predicted_is_said():
 
 
 def test_what_is_printed_names_sizes_and_the_next_command(capsys):
-    show_together(made(4.0, 5.0), SQUARE, "A B --apart table")
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
+    show_together(made(4.0, 5.0), [dataset], "A B --apart table")
     printed = " ".join(capsys.readouterr().out.split())
     for words in (
         "25 ms late (20 to 30)",
@@ -74,6 +73,32 @@ def test_what_is_printed_names_sizes_and_the_next_command(capsys):
         "5.0",
     ):
         assert words in printed
+
+
+def test_a_turned_tracker_is_also_told_where_the_pushes_are():
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
+    poses = np.concatenate([t.object_pose.values[:, :2] for t in dataset.trials])
+    move = np.append(np.array([0.5, -0.2]) - poses.mean(axis=0), 0.0)
+    trials = tuple(
+        dataclasses.replace(
+            t,
+            object_pose=dataclasses.replace(
+                t.object_pose,
+                values=t.object_pose.values + move,
+            ),
+        )
+        for t in dataset.trials
+    )
+    moved = dataclasses.replace(dataset, trials=trials)
+
+    def said(low):
+        numbers = {"x": (1e-3, 0, 2e-3), "y": (-2.5e-3, -3e-3, -2e-3), "angle": (0.004, low, 0.006)}
+        estimates = [ParameterEstimate("tracker_shift", name, "m", *own) for name, own in numbers.items()]
+        return in_the_middle("tracker_shift", estimates, [moved])
+
+    # x is 1 mm + 0.004 * 0.2 m off, y -2.5 mm + 0.004 * 0.5 m.
+    assert "(x 500 mm, y -200 mm), poses lie 1.80 mm, -0.50 mm (x, y) off" in said(0.002)
+    assert said(-0.002) == ""
 
 
 @pytest.mark.parametrize("diagnosis", [made(4.0, -1.0), made(None, None, verdict="undecided")])
