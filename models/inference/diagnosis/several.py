@@ -20,7 +20,8 @@ dataset to dataset by as much as the datasets disagree.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import get_args
@@ -176,28 +177,37 @@ def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> N
 
 def named_by_evidence(
     dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: StageProgress
-) -> Effect | None:
-    """The effect that one dataset names by evidence and locked pushes, under the forgiving likelihood.
+) -> tuple[Effect, ...]:
+    """The effects that one dataset names by evidence and locked pushes, under the forgiving likelihood.
 
     Where pushes are missed by many times the noise, a few of them decide a strict fit. The effect must have
-    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic.
+    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic; so
+    must a second one with the first in the model.
 
     Args:
         dataset: with the locked pushes held out.
         effects: candidates.
         seed: of the predictions.
         progress: called with the numbers of parts done and of all parts.
+
+    Returns:
+        None, one or two effects, the first first.
     """
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
     found = inquiry.run(0)
     evidence = {one.name: one.evidence for one in found.candidates if one.evidence is not None}
-    if found.effect is None:
-        return None
+    if found.effect is None or found.effect != _far_ahead(evidence):
+        return ()
+    second = inquiry.second_to(found.effect)
+    names = [found.effect] if second is None else [found.effect, second]
+    return tuple(next(effect for effect in effects if effect.name == name) for name in names)
+
+
+def _far_ahead(evidence: Mapping[str, float]) -> str | None:
+    """The name of the largest evidence, if that suffices alone and is far ahead of the next."""
     first, *others = sorted(evidence, key=lambda name: -evidence[name])
     least = max([_ALONE, *(evidence[name] / _AHEAD for name in others)])
-    if found.effect != first or evidence[first] < least:
-        return None
-    return next(effect for effect in effects if effect.name == first)
+    return first if evidence[first] >= least else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,13 +286,16 @@ class _Inquiry:
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
+        self.fits: dict[str, JointFit] = {}  # of single effects, by name
+        self.starts: dict[str, FloatArray] = {}  # their parameters to start from
+        self.judged: dict[str, _Judged] = {}  # those that the locked pushes have judged
 
     def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
         stage = partial(self.report, "screening effects")
         first = self.together.first_gains(self.effects, stage, draws, self.rng)
         base = self.together.fitted((), ())
-        fits: dict[str, JointFit] = {}
+        fits = self.fits
         evidence: dict[str, float] = {}
         for step, one in enumerate(first[:_REFITTED]):
             self.report("refitting with effects", step, _REFITTED)
@@ -291,6 +304,7 @@ class _Inquiry:
             except (RolloutError, np.linalg.LinAlgError):
                 continue
             fits[one.effect.name] = fit
+            self.starts[one.effect.name] = one.start
             evidence[one.effect.name] = fit.evidence(base)
         self.report("refitting with effects", _REFITTED, _REFITTED)
         ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
@@ -300,6 +314,7 @@ class _Inquiry:
             self._judge(fits[name], evidence[name], part_of(stage, step, len(asked)))
             for step, name in enumerate(asked)
         ]
+        self.judged = {one.name: one for one in judged}
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
@@ -319,6 +334,29 @@ class _Inquiry:
             for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
         )
         return self._answer(kept, judged, candidates)
+
+    def second_to(self, name: str) -> str | None:
+        """The effect that is clearly missing besides a first, which was named; None where there is none.
+
+        It counts by the same rules: its evidence on top of the first, and the fall of the locked pushes' cost
+        beyond that by the first alone.
+        """
+        first = self.fits[name]
+        pairs: dict[str, JointFit] = {}
+        for step, other in enumerate(self.fits):
+            self.report("trying a second effect", step, len(self.fits))
+            if other == name:
+                continue
+            effects = (*first.effects, *self.fits[other].effects)
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                pairs[other] = self.together.fitted(effects, [first.values(0), self.starts[other]])
+        evidence = {other: pair.evidence(first) for other, pair in pairs.items()}
+        second = _far_ahead(evidence) if evidence else None
+        if second is None:
+            return None
+        judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
+        helps = judged.fall > self.judged[name].fall + _RIVAL and self._there(judged)
+        return second if helps else None
 
     def learnt_with_all(self, hypotheses: int) -> JointIdentification:
         """Fit all effects at once, judge them, and learn a belief of each object; `seconds` stays 0.

@@ -114,13 +114,39 @@ def test_an_effect_that_is_not_there_is_not_supported(recorded, monkeypatch):
         fit_together(plain, [])
 
 
-def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
-    def asked(dataset, effects):
-        found = named_by_evidence(dataset, effects, 0, lambda done, total: None)
-        return None if found is None else found.name
+def stretched(dataset, excess):
+    """The same pushes, with the tracker's lengths too large by a share."""
+    scales = np.array([1.0 + excess, 1.0 + excess, 1.0])
+    trials = tuple(
+        dataclasses.replace(
+            t, object_pose=dataclasses.replace(t.object_pose, values=t.object_pose.values * scales)
+        )
+        for t in dataset.trials
+    )
+    return dataclasses.replace(dataset, trials=trials)
 
-    assert asked(late(recorded.dataset, 0.03, "late"), EFFECTS) == "sensor_latency"
-    assert asked(recorded.dataset, EFFECTS) is None
+
+def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
+    def asked(dataset):
+        found = named_by_evidence(dataset, EFFECTS, 0, lambda done, total: None)
+        return [effect.name for effect in found]
+
+    assert asked(late(recorded.dataset, 0.03, "late")) == ["sensor_latency"]
+    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+    assert sorted(asked(both)) == ["sensor_latency", "tracker_scale"]
+    assert asked(recorded.dataset) == []
+
+
+def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):
+    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+    own = several._Inquiry._judge
+
+    def judge(self, fit, evidence, progress):
+        judged = own(self, fit, evidence, progress)
+        return dataclasses.replace(judged, falls=[20.0]) if len(fit.effects) > 1 else judged
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    assert len(named_by_evidence(both, EFFECTS, 0, lambda done, total: None)) == 1
 
 
 def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_locked(recorded):
