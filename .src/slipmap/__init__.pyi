@@ -41,8 +41,15 @@ from .models.effects.effect import Effect as Effect, Parameter as Parameter
 from .models.effects.library import LIBRARY as LIBRARY
 from .models.effects.registry import effects_named as effects_named, load_effects as load_effects
 from .models.inference.belief import Belief as Belief
-from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
-from .models.inference.diagnosis.several import diagnose_together as diagnose_together
+from .models.inference.comparison import (
+    compare as compare,
+    compare_together as compare_together,
+    compare_with_effects as compare_with_effects,
+)
+from .models.inference.diagnosis.several import (
+    diagnose_together as diagnose_together,
+    fit_together as fit_together,
+)
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
 from .models.measurements.dataset_check import check_dataset as check_dataset

@@ -6,13 +6,16 @@ pushes (before and after an effect was added) side by side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.locked import with_locked
+from slipmap.models.inference.diagnosis.results import JointIdentification
+from slipmap.models.inference.diagnosis.several import check_together, fit_together
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import identify, named
 from slipmap.models.inference.observations import observe_all
@@ -221,6 +224,89 @@ def compare_with_effects(
         for label, belief in beliefs.items()
     )
     return before, after
+
+
+@dataclass(frozen=True, eq=False)
+class JointComparison:
+    """Result of `compare_together`."""
+
+    datasets: tuple[tuple[Comparison, ...], ...]  # of each: one model, or those without and with effects
+    fitted: JointIdentification | None  # the model with effects; None where there are none
+
+    @property
+    def recurring(self) -> tuple[tuple[Pattern, tuple[str, ...]], ...]:
+        """Patterns that are significant in two datasets or more with the last model, each as it is where it
+        is clearest, and the names of these datasets; the most frequent first."""
+        found: dict[tuple[str, str], list[tuple[Pattern, str]]] = {}
+        for *_, last in self.datasets:
+            for pattern in last.significant:
+                found.setdefault((pattern.quantity, pattern.factor), []).append((pattern, last.dataset))
+        shared = [
+            (min((pattern for pattern, _ in own), key=lambda p: p.p_corrected), tuple(n for _, n in own))
+            for own in found.values()
+            if len(own) > 1
+        ]
+        return tuple(sorted(shared, key=lambda pair: (-len(pair[1]), pair[0].p_corrected)))
+
+    def to_json(self) -> dict[str, object]:
+        """The machine-readable result; each dataset as `Comparison.to_json` says."""
+        return {
+            "datasets": [[one.to_json() for one in models] for models in self.datasets],
+            "recurring": [
+                {"quantity": pattern.quantity, "factor": pattern.factor, "datasets": list(names)}
+                for pattern, names in self.recurring
+            ],
+            "fitted": None if self.fitted is None else self.fitted.to_json(),
+        }
+
+
+def compare_together(
+    datasets: Sequence[PushDataset],
+    effects: Sequence[Effect | str] = (),
+    *,
+    apart: Collection[str] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> JointComparison:
+    """Compare models of several objects, each with all pushes of its own dataset.
+
+    Args:
+        datasets: two or more, each of one object.
+        effects: to add to the model, shared as in `fit_together`; those of the library may be given by name.
+            Without any, the model is what `identify` learns.
+        apart: owners of effects that the datasets do not share, as in `fit_together`.
+        seed: of every random draw.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError, EffectError, ValueError: as `fit_together`.
+
+    Example:
+        >>> import dataclasses
+        >>> import slipmap
+        >>> first, again = (slipmap.simulated_hammer(seed=s, fit=2, heldout=1)[0] for s in (1, 2))
+        >>> found = slipmap.compare_together([first, dataclasses.replace(again, name="again")])
+        >>> [one.dataset for (one,) in found.datasets]
+        ['hammer', 'again']
+    """
+    check_together(datasets, apart)
+    report = progress or silent
+    fitted = fit_together(datasets, effects, apart=apart, seed=seed, progress=progress) if effects else None
+    found = []
+    for k, dataset in enumerate(datasets):
+        own = about(dataset.name, report)
+        pushes = dataset if fitted is None else with_locked(dataset, fitted.datasets[k].locked)
+        plain = identify(pushes, seed=seed, progress=own).belief
+        models = {"model" if fitted is None else "without effects": plain}
+        if fitted is not None:
+            models["with " + " and ".join(fitted.effects)] = fitted.learned[k].belief
+        found.append(
+            tuple(
+                compare(pushes, belief, seed=seed, label=label, progress=own)
+                for label, belief in models.items()
+            )
+        )
+    return JointComparison(tuple(found), fitted)
 
 
 def totals(pushes: Sequence[Prediction]) -> Totals:

@@ -67,7 +67,7 @@ def fit(
     mean = np.zeros_like(start) if prior_mean is None else prior_mean
     strength = np.ones(K) if strength is None else strength
     shift = np.zeros((K, B, 3)) if offsets is None else offsets.copy()
-    together = max(1, _EQUATIONS // (96 * B * start.shape[1]))
+    together = max(1, _EQUATIONS // (128 * B * start.shape[1]))
     if together < K:
         parts = np.split(np.arange(K), np.arange(together, K, together))
         fits = [
@@ -163,5 +163,5 @@ def _promised(
 def _overwrite(old: NormalEquations, who: np.ndarray, new: NormalEquations, rows: np.ndarray) -> None:
     for name in ("cost", "hessian", "gradient"):
         getattr(old, name)[who] = getattr(new, name)[rows]
-    for name in ("start_gain", "start_gradient", "coupling"):
+    for name in ("push_gradient", "start_gain", "start_gradient", "coupling"):
         getattr(old, name)[:, who] = getattr(new, name)[:, rows]

@@ -27,7 +27,7 @@ from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.mixture import explain, mixed_belief, weighed
+from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, weighed
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predict_observations, predicted_motion
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
@@ -91,7 +91,7 @@ def identify(
     report("preparing pushes", 1, 1)
     if method == "paper":
         return _by_algorithm_1(dataset, observations, hypotheses, seed, report, started)
-    found = None
+    found: Fitted | None = None
     if effects:
         from slipmap.models.inference.diagnosis.effect_search import find_effects
 
@@ -106,7 +106,7 @@ def identify(
 def learn(
     dataset: PushDataset,
     observations: Sequence[Observation],
-    found: Fitted | None,
+    found: Fitted | EffectsGiven | None,
     *,
     hypotheses: int = 20,
     seed: int = 0,
@@ -120,7 +120,7 @@ def learn(
     Args:
         dataset: the dataset that the pushes belong to.
         observations: all its pushes; those with the role `fit` are fitted.
-        found: fit of the model with effects; None for the model without.
+        found: the model with effects, as fitted before; None for the model without.
         hypotheses, seed, prior_settings, friction_laws: as in `identify`.
         report: called with (stage, done, total).
         started: reading of `time.perf_counter` when the work began; now if None.

@@ -58,6 +58,7 @@ class NormalEquations:
     cost: FloatArray  # (K, B) robust cost of each push, including the prior of its start offset
     hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
     gradient: FloatArray  # (K, d)
+    push_gradient: FloatArray  # (B, K, d) of each push, unweighted
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
@@ -143,7 +144,7 @@ class PushLikelihood(ABC):
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
-        couplings = np.empty((B, K, d, 3))
+        couplings, push_gradients = np.empty((B, K, d, 3)), np.empty((B, K, d))
         for alike in self._rolled_out(maps, offsets, P):
             own = alike.pushes
             J, r, own_cost = self._whitened(alike)
@@ -164,14 +165,15 @@ class PushLikelihood(ABC):
             reduced_hessian[:, :p, :p] -= eliminated.transpose(0, 2, 1, 3).reshape(K, p, 3 * G) @ (
                 beside.transpose(0, 2, 1)
             )
-            reduced_gradient[:, :p] += (w[..., None] * slope).sum(axis=1)
-            reduced_gradient[:, :p] -= (eliminated @ start_gradient[..., None])[..., 0].sum(axis=1)
+            own_gradient = slope - (coupling @ gain @ start_gradient[..., None])[..., 0]
+            reduced_gradient[:, :p] += (w[..., None] * own_gradient).sum(axis=1)
+            push_gradients[own] = (own_gradient @ columns[:, :p]).swapaxes(0, 1)
             gains[own], start_gradients[own] = gain.swapaxes(0, 1), start_gradient.swapaxes(0, 1)
             by_start = (by_column[..., :p] @ beside).reshape(K, d, G, 3)
             couplings[own] = by_start.transpose(2, 0, 1, 3)
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
-        return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
+        return NormalEquations(cost, hessian, gradient, push_gradients, gains, start_gradients, couplings)
 
     def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
         """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take

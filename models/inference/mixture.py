@@ -97,12 +97,22 @@ class Explanation:
         return self.likelihood.prior.maps(self.best.z)
 
 
+@dataclass(frozen=True, eq=False)
+class EffectsGiven:
+    """Effects of which other pushes tell something, like a `Fitted` of these pushes."""
+
+    effects: tuple[Effect, ...]
+    values: FloatArray  # (P,) expected parameters
+    scales: FloatArray  # (P,) their standard deviations
+    maps: Maps  # to start from, one hypothesis
+
+
 def explain(
     dataset: PushDataset,
     observations: Sequence[Observation],
     settings: PriorSettings | None,
     progress: StageProgress,
-    found: Fitted | None = None,
+    found: Fitted | EffectsGiven | None = None,
     *,
     plain_only: bool,
 ) -> list[Explanation]:
@@ -115,8 +125,8 @@ def explain(
         observations: pushes to learn from.
         settings: the only prior of the maps; if None, all structures that the object may have are tried.
         progress: called with (done, total).
-        found: fit of the model with effects. All laws then include these effects, with priors centred on the
-            fitted values, so that nothing pulls them to their nulls where the likelihood says little.
+        found: fit of the model with effects. All laws then include these effects, with priors centred on its
+            values, so that nothing pulls them to their nulls where the likelihood says little.
         plain_only: whether to skip the other laws.
 
     Returns:
@@ -147,7 +157,7 @@ def _compared(
     observations: Sequence[Observation],
     settings: PriorSettings | None,
     progress: StageProgress,
-    found: Fitted | None,
+    found: Fitted | EffectsGiven | None,
     *,
     plain_only: bool,
 ) -> list[Explanation]:
@@ -169,7 +179,7 @@ def _compared(
         means, deviations = effect_prior(law, dataset.height)
         if found is not None:
             means = np.concatenate([found.values, means])
-            deviations = np.concatenate([found.likelihood.prior.effect_scales, deviations])
+            deviations = np.concatenate([found.scales, deviations])
         slider = slider_for(dataset, (*given, *law))
         prior = MapPrior(
             slider, structures[structure], dataset.mass,

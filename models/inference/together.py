@@ -195,6 +195,7 @@ class JointLikelihood:
         K, d, B = len(z), self.prior.size, len(self.observations)
         cost, hessian, gradient = np.zeros((K, B)), np.zeros((K, d, d)), np.zeros((K, d))
         gain, slope, coupling = np.zeros((B, K, 3, 3)), np.zeros((B, K, 3)), np.zeros((B, K, d, 3))
+        by_push = np.zeros((B, K, d))
         for part, place, own in zip(self.parts, self.prior.places, self.pushes, strict=True):
             found = part.linearise(z[:, place], offsets[:, own], strength, weights[:, own])
             cost[:, own] = found.cost
@@ -202,7 +203,8 @@ class JointLikelihood:
             gradient[:, place] += found.gradient
             gain[own], slope[own] = found.start_gain, found.start_gradient
             coupling[own, :, place] = found.coupling
-        return NormalEquations(cost, hessian, gradient, gain, slope, coupling)
+            by_push[own, :, place] = found.push_gradient
+        return NormalEquations(cost, hessian, gradient, by_push, gain, slope, coupling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +213,9 @@ class FirstGain:
 
     effect: Effect
     gain: float  # drop in cost, nats
+    evidence: float  # the same less what the parameters would gain anyway (Laplace)
     start: FloatArray  # (P,) parameters, the amplitudes at their nulls
+    p_value: float | None  # share of random signs under which the largest gain of all is at least this
 
 
 class Together:
@@ -250,16 +254,35 @@ class Together:
             self.weight,
         )
 
-    def first_gains(self, effects: Sequence[Effect], progress: StageProgress) -> list[FirstGain]:
+    def first_gains(
+        self,
+        effects: Sequence[Effect],
+        progress: StageProgress,
+        draws: int = 0,
+        rng: np.random.Generator | None = None,
+    ) -> list[FirstGain]:
         """Gain of each effect with all maps refitted, to first order, from at most `_SCREENED` pushes per
-        dataset; the largest first."""
+        dataset; first those of the largest evidence (the gain, less what the parameters would gain anyway).
+
+        By chance alone, the residuals of any push could equally well have had the opposite sign. So the
+        p-values compare with the largest gain over all effects when whole pushes change sign at random.
+
+        Args:
+            effects: to try.
+            progress: called with the numbers of parts done and of all parts.
+            draws: random sign patterns for the p-values; without any there are none.
+            rng: of the signs.
+        """
+        rng = rng or np.random.default_rng(0)
         scene = self.scene()
         starts = [effect.start_values(scene) for effect in effects]
         at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
-        gains: list[list[float]] = [[] for _ in effects]
+        gains: list[list[FloatArray]] = [[] for _ in effects]  # by start: of the data, then of each pattern
+        occam: list[list[float]] = [[] for _ in effects]
         rounds = max(len(start) for start in starts)
         few = [one.few(_SCREENED) for one in self.taught]
         likelihoods = [one.likelihood(effects, self.weight) for one in few]
+        signs = [rng.choice([-1.0, 1.0], (len(one.observations), draws)) for one in few]
         for g in range(rounds):
             asked = [i for i, start in enumerate(starts) if g < len(start)]
             said: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in effects]
@@ -272,17 +295,25 @@ class Together:
                 equations = likelihood.linearise(z[None], one.base.offsets, np.ones(1), weights)
                 for i in asked:
                     own = prior.plain + at[i] + np.flatnonzero(effects[i].amplitudes)
-                    said[i].append(_eliminated(equations, one.base.z[0], own))
+                    said[i].append(_eliminated(equations, one.base.z[0], own, signs[k]))
             for i in asked:
                 if self.is_shared(effects[i]):
                     normals, slopes = zip(*said[i], strict=True)
                     said[i] = [(np.sum(normals, axis=0), np.sum(slopes, axis=0))]
-                gains[i].append(sum(_fall(normal, slope) for normal, slope in said[i]))
-        found = [
-            FirstGain(effect, max(own), start[int(np.argmax(own))])
-            for effect, own, start in zip(effects, gains, starts, strict=True)
-        ]
-        return sorted(found, key=lambda one: -one.gain)
+                gains[i].append(np.sum([_fall(normal, slope) for normal, slope in said[i]], axis=0))
+                occam[i].append(sum(_occam(normal) for normal, _ in said[i]))
+        tried = [np.array(own) for own in gains]
+        chance = np.max([own[:, 1:].max(axis=0) for own in tried], axis=0)
+
+        def p_value(gain: float) -> float | None:
+            return float((1 + (chance >= gain).sum()) / (1 + draws)) if draws else None
+
+        found = []
+        for effect, own, start, spent in zip(effects, tried, starts, occam, strict=True):
+            best = int(np.argmax(own[:, 0]))
+            gain = float(own[best, 0])
+            found.append(FirstGain(effect, gain, gain - spent[best], start[best], p_value(gain)))
+        return sorted(found, key=lambda one: -one.evidence)
 
     def fitted(self, effects: Sequence[Effect], starts: Sequence[FloatArray]) -> JointFit:
         """Fit the model with some effects, from parameters (P,) of each.
@@ -322,13 +353,21 @@ class JointFit:
     @property
     def occam(self) -> float:
         """½ log det of the posterior's precision, in units of the prior's."""
-        size = self.likelihood.prior.size
-        return 0.5 * float(np.linalg.slogdet(self.found.hessian[0] + np.eye(size))[1])
+        return _occam(self.found.hessian[0])
+
+    def evidence(self, base: JointFit) -> float:
+        """Log probability of the pushes over that of a model without effects (Laplace), nats."""
+        return base.cost - self.cost - (self.occam - base.occam)
 
     def values(self, k: int) -> FloatArray:
         """(P,) parameters of the effects in dataset k."""
         prior = self.likelihood.parts[k].prior  # type: ignore[attr-defined]
         return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0]
+
+    @property
+    def scales(self) -> FloatArray:
+        """(P,) standard deviations of the parameters in the prior."""
+        return self.likelihood.parts[0].prior.effect_scales  # type: ignore[attr-defined]
 
     def deviations(self, k: int) -> FloatArray:
         """(P,) their standard deviations, marginal over everything else."""
@@ -349,24 +388,36 @@ class JointFit:
         normal, slope = _eliminated(equations, pull, prior.plain + amplitudes)
         covariance = np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(slope)))
         coordinates, deviations = z[0, prior.plain :].copy(), np.zeros(len(prior.amplitudes))
-        coordinates[amplitudes] -= covariance @ slope
+        coordinates[amplitudes] -= covariance @ slope[:, 0]
         deviations[amplitudes] = np.sqrt(np.diagonal(covariance))
         return prior.effect_centers + prior.effect_scales * coordinates, prior.effect_scales * deviations
 
 
 def _eliminated(
-    equations: NormalEquations, pull: FloatArray, own: np.ndarray
+    equations: NormalEquations, pull: FloatArray, own: np.ndarray, signs: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and slope of some coordinates, the maps (the first ones, with a prior) eliminated."""
+    """Normal matrix (c, c) and slopes (c, 1 + D) of some coordinates, the maps (the first ones, with a prior)
+    eliminated: the slope of the data, then those with the pushes' signs (B, D) changed."""
     maps = np.arange(len(pull))
-    hessian, gradient = equations.hessian[0], equations.gradient[0]
+    hessian, slopes = equations.hessian[0], equations.gradient[0][:, None]
+    pulls = pull[:, None]
+    if signs is not None:
+        slopes = np.concatenate([slopes, equations.push_gradient[:, 0].T @ signs], axis=1)
+        # The prior balances only the data.
+        pulls = np.concatenate([pulls, np.zeros((len(pull), signs.shape[1]))], axis=1)
     across = hessian[np.ix_(maps, own)]
-    slopes = np.column_stack([across, gradient[maps] + pull])
-    solved = np.linalg.solve(hessian[np.ix_(maps, maps)] + np.eye(len(maps)), slopes)
-    normal = hessian[np.ix_(own, own)] - across.T @ solved[:, :-1]
-    return normal, gradient[own] - across.T @ solved[:, -1]
+    columns = np.concatenate([across, slopes[maps] + pulls], axis=1)
+    solved = np.linalg.solve(hessian[np.ix_(maps, maps)] + np.eye(len(maps)), columns)
+    normal = hessian[np.ix_(own, own)] - across.T @ solved[:, : len(own)]
+    return normal, slopes[own] - across.T @ solved[:, len(own) :]
 
 
-def _fall(normal: FloatArray, slope: FloatArray) -> float:
-    """Drop in cost, prior included, by the best step from zero."""
-    return 0.5 * float(slope @ np.linalg.solve(normal + np.eye(len(slope)), slope))
+def _occam(normal: FloatArray) -> float:
+    """½ log det of the posterior's precision, in units of the prior's, from the data's normal matrix."""
+    return 0.5 * float(np.linalg.slogdet(normal + np.eye(len(normal)))[1])
+
+
+def _fall(normal: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Drop in cost, prior included, by the best step from zero, for each column of slopes (c, 1 + D)."""
+    step = np.linalg.solve(normal + np.eye(len(slopes)), slopes)
+    return np.asarray(0.5 * (slopes * step).sum(axis=0))

@@ -115,6 +115,8 @@ _REFUSALS = {
     "refused-methods-of-campaign": Case("campaign fig5 --objects hammer --methods true"),
     "refused-method-of-campaign": Case("campaign fig6 --objects hammer --methods tru"),
     "refused-experiment": Case("campaign fig8"),
+    "refused-maps-of-several": Case("fit one two --effect table_tilt --maps maps.yaml -o tilt.npz"),
+    "refused-apart-of-one": Case("compare nowhere --apart table"),
     "refused-draws": Case("diagnose nowhere --draws 3"),
     "refused-number-of-objects": Case("calibrate --objects none"),
     "refused-shell": Case("completion tcsh"),

@@ -71,20 +71,22 @@ def predict(
 
 
 @click.command()
-@options.dataset_argument
+@options.datasets_argument
 @options.belief_option(required=False, more="; without it, a model is learned from the fit pushes first")
 @options.effect_option(required=False, purpose="Effect to add, for a comparison with the model without it")
 @options.effect_file_option
+@options.apart_option
 @options.report_option("comparison.html")
 @options.seed_option
 @options.object_option
 @options.maps_option
 @options.json_option
 def compare(
-    dataset: Path,
+    datasets: tuple[Path, ...],
     belief_file: Path | None,
     effect_names: tuple[str, ...],
     effect_files: tuple[Path, ...],
+    apart: tuple[str, ...],
     output: Path,
     seed: int,
     object_name: str | None,
@@ -97,6 +99,9 @@ def compare(
     baselines and with the noise, shows every push as measured and as predicted, and tests what the remaining
     error depends on: place, direction, speed, phase, time and order. With --effect, two models are learned
     from the fit pushes, without and with the effects, and shown side by side.
+
+    Several datasets, each of one object, are compared one by one, and the report says which errors recur.
+    With --effect, their models share the effects as in `slipmap fit`.
     """
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.belief import Belief
@@ -108,6 +113,11 @@ def compare(
         )
     known = options.find_effects(effect_files)
     effects = effects_named(effect_names, known)
+    if len(datasets) > 1:
+        _compare_together(datasets, effects, apart, output, seed, object_name, json_file)
+        return
+    options.refuse_apart(apart)
+    (dataset,) = datasets
     belief = Belief.load(belief_file, known) if belief_file is not None else None
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress, maps)
@@ -131,6 +141,41 @@ def compare(
         write_text(output, text)
         write_json(json_file, both)
     show(results, str(dataset))
+    note(f"report: {output}")
+
+
+def _compare_together(
+    datasets: Sequence[Path],
+    effects: Sequence[Effect],
+    apart: Sequence[str],
+    output: Path,
+    seed: int,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    with Progress() as progress:
+        measured = options.load_together(datasets, object_name, progress, one_only=["--belief"])
+        for dataset in measured:
+            _check_fit_pushes(dataset)
+        prepare_kernels()
+        from slipmap.models.inference.comparison import compare_together
+
+        result = compare_together(measured, effects, apart=apart, seed=seed, progress=progress)
+        from slipmap.diagrams.application.reports.comparison_report import joint_comparison_report
+
+        with progress.step("drawing"):
+            text = joint_comparison_report(result, measured)
+    with together():
+        write_text(output, text)
+        write_json(json_file, result.to_json())
+    from slipmap.diagrams.application.reports.comparison_words import joint_findings
+    from slipmap.diagrams.application.reports.diagnosis_words import joint_fit_findings
+    from slipmap.diagrams.application.reports.tables import show_joint_comparison
+
+    told = [] if result.fitted is None else joint_fit_findings(result.fitted, measured)
+    show_joint_comparison(result)
+    for text in (*told, *joint_findings(result)):
+        paragraph(text)
     note(f"report: {output}")
 
 
@@ -181,14 +226,10 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
 )  # fmt: skip
 @options.count_option(
     "--draws", least=99, most=100_000, default=199,
-    about="Datasets to simulate for the p-values; the smallest possible p is 1 / (N + 1).",
+    about="Datasets to simulate (of several datasets, random signs of whole pushes) for the p-values; the"
+    " smallest possible p is 1 / (N + 1).",
 )  # fmt: skip
-@click.option(
-    "--apart",
-    multiple=True,
-    type=click.Choice(["table", "tracker", "finger", "force sensor"]),
-    help="What several datasets do not share; may be repeated.",
-)
+@options.apart_option
 @options.seed_option
 @options.report_option("diagnosis.html")
 @options.object_option
@@ -219,11 +260,9 @@ def diagnose(
     """
     effects = options.find_effects(effect_files)
     if len(datasets) > 1:
-        _refuse_for_several()
-        _diagnose_together(datasets, effects, apart, seed, object_name, json_file)
+        _diagnose_together(datasets, effects, apart, draws, seed, output, object_name, json_file)
         return
-    if apart:
-        raise BadInput("--apart says what several datasets do not share; give two or more")
+    options.refuse_apart(apart)
     (dataset,) = datasets
     where = str(dataset)
     with Progress() as progress:
@@ -248,45 +287,32 @@ def diagnose(
     note(f"report: {output}" if wanted else "a quick look writes no report; ask for one with -o FILE")
 
 
-def _refuse_for_several() -> None:
-    for option, name in (("--quick", "quick"), ("--draws", "draws"), ("-o", "output"), ("--maps", "maps")):
-        if options.asked_for(name):
-            raise BadInput(
-                f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
-                " each dataset.yaml)"
-            )
-
-
-def _refuse_copies(datasets: Sequence[PushDataset]) -> None:
-    """Refuse datasets that share a push, which would count twice."""
-    owners: dict[bytes, str] = {}
-    for dataset in datasets:
-        for trial in dataset.trials:
-            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
-            owner = owners.setdefault(track, dataset.name)
-            if owner != dataset.name:
-                raise BadInput(
-                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
-                    " count twice; give every push once"
-                )
-
-
 def _diagnose_together(
     datasets: Sequence[Path],
     effects: Sequence[Effect],
     apart: Sequence[str],
+    draws: int,
     seed: int,
+    output: Path,
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
+    where = options.typed(datasets, apart)
     with Progress() as progress:
-        measured = [options.load_dataset(dataset, object_name, progress) for dataset in datasets]
-        _refuse_copies(measured)
+        measured = options.load_together(datasets, object_name, progress, one_only=["--quick"])
         prepare_kernels()
         from slipmap.models.inference.diagnosis.several import diagnose_together
 
-        result = diagnose_together(measured, effects=effects, apart=apart, seed=seed, progress=progress)
-    write_json(json_file, result.to_json())
+        result = diagnose_together(
+            measured, effects=effects, apart=apart, draws=draws, seed=seed, progress=progress
+        )
+        from slipmap.diagrams.application.reports.diagnosis_report import joint_report
+
+        with together():
+            with progress.step("drawing"):
+                write_text(output, joint_report(result, measured, effects, where))
+            write_json(json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_together
 
-    show_together(result, measured[0].grid)
+    show_together(result, measured, where)
+    note(f"report: {output}")

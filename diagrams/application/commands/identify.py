@@ -6,6 +6,7 @@ The second adds effects to the model and learns them together with the maps.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,11 +14,12 @@ from typing import TYPE_CHECKING
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import make_folder, write_figures
+from slipmap.diagrams.application.outputs import check_output, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
 from slipmap.models.files import BadInput, together, whole_file, write_json
 
 if TYPE_CHECKING:
+    from slipmap.models.effects.effect import Effect
     from slipmap.models.inference.prediction import Prediction
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
@@ -104,9 +106,10 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
 
 
 @click.command()
-@options.dataset_argument
+@options.datasets_argument
 @options.effect_option(required=True, purpose="Effect to add to the model")
 @options.effect_file_option
+@options.apart_option
 @options.belief_output_option
 @options.hypotheses_option
 @options.seed_option
@@ -115,9 +118,10 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
 @options.pictures_option
 @options.json_option
 def fit(
-    dataset: Path,
+    datasets: tuple[Path, ...],
     effect_names: tuple[str, ...],
     effect_files: tuple[Path, ...],
+    apart: tuple[str, ...],
     output: Path,
     hypotheses: int,
     seed: int,
@@ -134,10 +138,19 @@ def fit(
 
     Writes a belief for `predict` and `compare`, and the same pictures as `identify`. Prints how well it
     predicts with and without the effects, and whether the pushes support them.
+
+    Several datasets, each of one object, share the effects, except those of the object and of what --apart
+    names; each object has its own maps. Pushes are locked away as `slipmap diagnose` does, and the belief of
+    each object is written to its own file: -o tilt.npz gives tilt.NAME.npz for the dataset NAME.
     """
     from slipmap.models.effects.registry import effects_named
 
     effects = effects_named(effect_names, options.find_effects(effect_files))
+    if len(datasets) > 1:
+        _fit_together(datasets, effects, apart, output, hypotheses, seed, object_name, pictures, json_file)
+        return
+    options.refuse_apart(apart)
+    (dataset,) = datasets
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress, maps)
         if pictures is not None:
@@ -153,6 +166,55 @@ def fit(
     show_effects(result)
     _show_gain(result)
     tell_files(output, drawn)
+
+
+def _fit_together(
+    datasets: Sequence[Path],
+    effects: Sequence[Effect],
+    apart: Sequence[str],
+    output: Path,
+    hypotheses: int,
+    seed: int,
+    object_name: str | None,
+    pictures: Path | None,
+    json_file: Path | None,
+) -> None:
+    with Progress() as progress:
+        measured = options.load_together(datasets, object_name, progress)
+        beliefs = _named_after([dataset.name for dataset in measured], output)
+        if pictures is not None:
+            make_folder(pictures)
+        prepare_kernels()
+        from slipmap.models.inference.diagnosis.several import fit_together
+
+        result = fit_together(
+            measured, effects, apart=apart, hypotheses=hypotheses, seed=seed, progress=progress
+        )
+        drawn = []
+        with together():
+            for learned, dataset, belief in zip(result.learned, measured, beliefs, strict=True):
+                drawn.append(keep(learned, dataset, belief, pictures, progress))
+            write_json(json_file, {**result.to_json(), "beliefs": [str(belief) for belief in beliefs]})
+    from slipmap.diagrams.application.reports.diagnosis_words import show_joint_fit
+
+    show_joint_fit(result, measured)
+    for belief, paths in zip(beliefs, drawn, strict=True):
+        tell_files(belief, paths)
+
+
+def _named_after(names: Sequence[str], output: Path) -> list[Path]:
+    """A file beside `output` for each dataset, named after it.
+
+    Raises:
+        BadInput: two datasets would share a file, or one cannot be written.
+    """
+    plain = [re.sub(r"[^\w.-]+", "-", name) for name in names]
+    if len(set(plain)) < len(plain):
+        raise BadInput(f"the names of the datasets give the same files: {', '.join(names)}; rename one")
+    paths = [output.with_name(f"{output.stem}.{name}{output.suffix}") for name in plain]
+    for path in paths:
+        check_output(path, ["npz"])
+    return paths
 
 
 def keep(

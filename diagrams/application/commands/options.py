@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from itertools import combinations
@@ -13,6 +14,7 @@ from click.core import ParameterSource
 
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import Progress, note
+from slipmap.models.files import BadInput
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
@@ -164,6 +166,12 @@ hypotheses_option = count_option(
 pictures_option = path_option(
     "--pictures", metavar="DIR", about="Folder for the pictures. [default: that of the belief]"
 )
+apart_option = click.option(
+    "--apart",
+    multiple=True,
+    type=click.Choice(["table", "tracker", "finger", "force sensor"]),
+    help="What several datasets do not share; may be repeated.",
+)
 explorations_option = count_option("--pushes", most=100, default=5, about="Pushes to learn from.")
 
 
@@ -206,6 +214,55 @@ def load_dataset(
         progress=lambda done, total: progress("reading pushes", done, total),
         tell=lambda warning: note(f"warning: {warning}"),
     )
+
+
+def load_together(
+    paths: Sequence[Path], object_name: str | None, progress: Progress, one_only: Sequence[str] = ()
+) -> list[PushDataset]:
+    """Read several datasets, each of one object, for one model.
+
+    Args:
+        paths: of the datasets.
+        object_name, progress: as in `load_dataset`.
+        one_only: options, besides --maps, that are for one dataset.
+
+    Raises:
+        BadInput: such an option was given, or two datasets share a push, which would count twice.
+        DatasetError: a dataset cannot be used.
+    """
+    for option in (*one_only, "--maps"):
+        if asked_for("belief_file" if option == "--belief" else option.strip("-")):
+            raise BadInput(
+                f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
+                " each dataset.yaml)"
+            )
+    datasets = [load_dataset(path, object_name, progress) for path in paths]
+    owners: dict[bytes, str] = {}
+    for dataset in datasets:
+        for trial in dataset.trials:
+            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
+            owner = owners.setdefault(track, dataset.name)
+            if owner != dataset.name:
+                raise BadInput(
+                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
+                    " count twice; give every push once"
+                )
+    return datasets
+
+
+def refuse_apart(apart: Sequence[str]) -> None:
+    """Refuse --apart for a single dataset.
+
+    Raises:
+        BadInput: it was given.
+    """
+    if apart:
+        raise BadInput("--apart says what several datasets do not share; give two or more")
+
+
+def typed(paths: Sequence[Path], apart: Sequence[str]) -> str:
+    """Datasets, and what they do not share, as a command takes them."""
+    return " ".join([*map(str, paths), *(f"--apart {shlex.quote(owner)}" for owner in apart)])
 
 
 # Parameters that name outputs although their type does not say so.

@@ -1,5 +1,8 @@
 from .diagnosis_figures import (
+    alone_figure as alone_figure,
     gain_figure as gain_figure,
+    joint_gain_figure as joint_gain_figure,
+    joint_locked_figure as joint_locked_figure,
     locked_figure as locked_figure,
     telling_push_figure as telling_push_figure,
 )

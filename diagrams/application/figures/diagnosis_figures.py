@@ -1,6 +1,7 @@
 """Figures of a diagnosis: gains of all candidates, errors of locked pushes, and the next push."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,12 @@ from slipmap.diagrams.application.reports.comparison_words import short_name
 from slipmap.diagrams.application.reports.diagnosis_words import nats
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.geometry import placed
-from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.diagnosis.results import (
+    DatasetResult,
+    Diagnosis,
+    JointDiagnosis,
+    ParameterEstimate,
+)
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
@@ -45,8 +51,6 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         'Figure'
     """
     candidates = diagnosis.candidates
-    height = 0.62 + _ROW * len(candidates) + 0.12
-    bottom, top = 0.12 / height, 1 - 0.62 / height
     objected = {name for names in diagnosis.objections for name in names.split(" and ")}
     answered = [c.name in diagnosis.effects or (c.in_set and c.name not in objected) for c in candidates]
     told_of = list(zip(candidates, answered, strict=True))
@@ -61,6 +65,38 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         ("gain when refitted", fitted, plain, _longest(fitted)),
         ("left to gain on top of it", left, judged, first_order),
     )
+    return _panels_of_bars(list(zip([c.name for c in candidates], answered, strict=True)), panels)
+
+
+@styled
+def joint_gain_figure(diagnosis: JointDiagnosis) -> Figure:
+    """Bars for every candidate of several datasets: first-order gain, gain when refitted, and evidence."""
+    candidates = diagnosis.candidates
+    colours = [OTHER if c.in_set else _ALARM if c.objection is not None else _PALE for c in candidates]
+    columns: tuple[tuple[str, list[float | None]], ...] = (
+        ("gain to first order", [c.first_gain for c in candidates]),
+        ("gain when refitted", [c.gain for c in candidates]),
+        ("evidence", [c.evidence for c in candidates]),
+    )
+    panels = [(title, values, colours, _longest(values)) for title, values in columns]
+    labels = {_ALARM: "ruled out: the locked pushes object"}
+    return _panels_of_bars([(c.name, c.in_set) for c in candidates], panels, labels)
+
+
+def _panels_of_bars(
+    names: Sequence[tuple[str, bool]],
+    panels: Sequence[tuple[str, Sequence[float | None], Sequence[str], float]],
+    labels: Mapping[str, str] = MappingProxyType({}),
+) -> Figure:
+    """Panels of bars, one row for each name.
+
+    Args:
+        names: of the candidates, and whether each is in the answer.
+        panels: title, values, colours and longest bar of each; those without any value are left out.
+        labels: of colours, where they mean something else than usual.
+    """
+    height = 0.62 + _ROW * len(names) + 0.12
+    bottom, top = 0.12 / height, 1 - 0.62 / height
     shown = [panel for panel in panels if any(value is not None for value in panel[1])]
     width = _NAMES + _PANEL * len(shown)
     figure = Figure(figsize=(width, height))
@@ -69,11 +105,11 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         _bars(axes, values, colours, longest)
         axes.set_title(f"{title}, nats", loc="left", fontsize=9)
         if k == 0:
-            axes.set_yticks(range(len(candidates)), [c.name for c in candidates])
-            for label, answer in zip(axes.get_yticklabels(), answered, strict=True):
+            axes.set_yticks(range(len(names)), [name for name, _ in names])
+            for label, (_, answer) in zip(axes.get_yticklabels(), names, strict=True):
                 label.set_fontweight("bold" if answer else "normal")
     handles = [
-        Line2D([], [], color=colour, linewidth=6, label=label)
+        Line2D([], [], color=colour, linewidth=6, label=labels.get(colour, label))
         for colour, label in (
             (OTHER, "not ruled out"),
             (_PALE, "ruled out, or no more than chance"),
@@ -121,25 +157,40 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
         raise ValueError("no push was locked away, so there is nothing to draw")
     before, after = 1e3 * diagnosis.before.path, 1e3 * diagnosis.after.path
     order = np.argsort(before)
-    height = 0.85 + 0.21 * len(order)
     names = [short_name(diagnosis.locked[b]) for b in order]
+    changed = bool(diagnosis.effect_objects)
+    return _errors_changed(names, before[order], after[order] if changed else None)
+
+
+@styled
+def joint_locked_figure(datasets: Sequence[DatasetResult]) -> Figure:
+    """Mean error along the path of each dataset's locked pushes, without and with the answer."""
+    judged = [one for one in datasets if one.before is not None]
+    before = np.array([1e3 * one.before.path.mean() for one in judged if one.before is not None])
+    after = np.array([1e3 * one.after.path.mean() for one in judged if one.after is not None])
+    return _errors_changed([one.name for one in judged], before, after if len(after) else None)
+
+
+def _errors_changed(names: Sequence[str], before: FloatArray, after: FloatArray | None) -> Figure:
+    """Errors along the path, mm, by name, and what they are with the answer, if there is one."""
+    height = 0.85 + 0.21 * len(names)
     left = 0.25 + _LETTER * max(map(len, names))
     figure = Figure(figsize=(_LOCKED, height))
     axes = figure.add_axes((left / _LOCKED, 0.45 / height, 1 - (left + 0.15) / _LOCKED, 1 - 0.85 / height))
-    rows = np.arange(float(len(order)))
-    changed = bool(diagnosis.effect_objects)
-    if changed:
-        axes.hlines(rows, before[order], after[order], color=_PALE, linewidth=2.4)
-        _dots(axes, after[order], rows, OTHER, "with the answer")
-    _dots(axes, before[order], rows, BELIEF, "without effects" if changed else "the model")
-    if max(before.max(), after.max()) > 5 * min(before.min(), after.min()):
+    rows = np.arange(float(len(names)))
+    if after is not None:
+        axes.hlines(rows, before, after, color=_PALE, linewidth=2.4)
+        _dots(axes, after, rows, OTHER, "with the answer")
+    _dots(axes, before, rows, BELIEF, "the model" if after is None else "without effects")
+    every = before if after is None else np.concatenate([before, after])
+    if every.max() > 5 * every.min():
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("error along the path (ADD), mm")
     axes.set_yticks(rows, names)
-    axes.set_ylim(-0.7, len(order) - 0.3)
+    axes.set_ylim(-0.7, len(names) - 0.3)
     light_grid(axes, "x")
     figure.legend(loc="upper right", ncols=2, handletextpad=0.2, bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -147,6 +198,37 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
 
 def _dots(axes: Axes, values: FloatArray, rows: FloatArray, colour: str, label: str) -> None:
     axes.plot(values, rows, "o", color=colour, markersize=6, label=label, linestyle="none", zorder=3)
+
+
+@styled
+def alone_figure(datasets: Sequence[DatasetResult], together: Sequence[ParameterEstimate]) -> Figure:
+    """Parameters of an effect from each dataset alone, beside the value from all of them.
+
+    Args:
+        datasets: those without estimates are left out.
+        together: shared parameters to show, at least one.
+    """
+    shown = [one for one in datasets if one.alone]
+    left = 0.25 + _LETTER * max(len(one.name) for one in shown)
+    width, height = left + _PANEL * len(together), 0.85 + _ROW * len(shown)
+    figure = Figure(figsize=(width, height))
+    rows = np.arange(float(len(shown)))
+    for k, whole in enumerate(together):
+        place = ((left + _PANEL * k) / width, 0.45 / height, 0.88 * _PANEL / width, 1 - 0.6 / height)
+        axes = figure.add_axes(place)
+        axes.axvspan(whole.low, whole.high, color=OTHER, alpha=0.25, linewidth=0)
+        axes.axvline(whole.value, color=OTHER, linewidth=1.4)
+        own = [
+            next(e for e in one.alone if (e.effect, e.name) == (whole.effect, whole.name)) for one in shown
+        ]
+        axes.hlines(rows, [e.low for e in own], [e.high for e in own], color=BELIEF, linewidth=1.4)
+        axes.plot([e.value for e in own], rows, "o", color=BELIEF, markersize=4, linestyle="none")
+        axes.set_yticks(rows, [one.name for one in shown] if k == 0 else [""] * len(shown))
+        axes.set_ylim(len(shown) - 0.4, -0.6)
+        axes.set_xlabel(whole.name + ("" if whole.unit == "1" else f", {whole.unit}"))
+        axes.locator_params(axis="x", nbins=4)
+        light_grid(axes, "x")
+    return figure
 
 
 @styled

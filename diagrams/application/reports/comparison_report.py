@@ -12,7 +12,8 @@ from slipmap.diagrams.application.figures.push_figures import MODEL_COLOURS
 from slipmap.diagrams.application.figures.residual_figures import pattern_of
 from slipmap.diagrams.application.reports import comparison_words as words
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
-from slipmap.models.inference.comparison import Comparison
+from slipmap.diagrams.application.reports.tables import joint_rows
+from slipmap.models.inference.comparison import Comparison, JointComparison
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Errors
@@ -67,6 +68,29 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
     lead = [text for text in (others, *words.findings(comparisons)) if text]
     return page(title, subtitle, lead, sections, headline + dot.rstrip())
+
+
+def joint_comparison_report(found: JointComparison, datasets: Sequence[PushDataset]) -> str:
+    """The report of several datasets, a whole HTML document: all in one table, then each by itself."""
+    count, seed = sum(len(dataset.trials) for dataset in datasets), found.datasets[0][0].seed
+    subtitle = f"{count} measured pushes of {len(datasets)} datasets; seed {seed}"
+    columns, rows = joint_rows(found)
+    caption = (
+        "Mean error at the end of the pushes that judge, mm, and number of significant patterns of the"
+        " remaining error."
+    )
+    numbers = table(columns, rows, numbers=range(2, len(columns)), caption=caption)
+    sections = [Section("datasets", "All datasets", numbers)]
+    for k, models in enumerate(found.datasets):
+        texts = "".join(f"<p>{escape(text)}</p>" for text in words.findings(models))
+        drawn = picture(error_figure(models), "Error of every push at its end", wide=True)
+        sections.append(Section(f"dataset-{k}", models[0].dataset, texts + drawn))
+    sections.append(Section("method", "How to read the numbers", part("method.html")))
+    lead = words.joint_findings(found)
+    if found.fitted is not None:
+        lead.insert(0, found.fitted.sentence)
+    title = f"{', '.join(dataset.name for dataset in datasets)}: models and measurements"
+    return page(title, subtitle, lead, sections)
 
 
 def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:

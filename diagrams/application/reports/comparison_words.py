@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from scipy.special import bdtrc
 
-from slipmap.models.inference.comparison import Comparison, Totals
+from slipmap.models.inference.comparison import Comparison, JointComparison, Totals
 from slipmap.models.inference.end_region import LEVEL as LEVEL_INSIDE
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.residual_structure import LEVEL, Pattern
@@ -175,12 +175,40 @@ def findings(results: Sequence[Comparison]) -> list[str]:
     """The findings on one model, or on two over the same pushes, one paragraph each."""
     if len(results) == 1:
         return [summary(results[0]), finding(results[0])]
-    learned = (
-        "Both models were learned as in `slipmap fit`, which treats the errors within a push as correlated."
-        " `slipmap identify`, and `slipmap compare` without --effect, treat every measured pose as"
-        " independent, so their model differs a little from the one without effects here."
+    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]
+
+
+def joint_findings(found: JointComparison) -> list[str]:
+    """The findings on several datasets, one paragraph each: the errors, and what recurs."""
+    last = [models[-1] for models in found.datasets]
+    errors = {one.dataset: judged(one)[1].model.final_add for one in last}
+    uniform = sum(judged(one)[1].uniform.final_add for one in last) / len(last)
+    best, worst = min(errors, key=lambda name: errors[name]), max(errors, key=lambda name: errors[name])
+    mean = sum(errors.values()) / len(errors)
+    which = f" {last[0].label}" if found.fitted is not None else ""
+    text = (
+        f"On the pushes that judge, the model{which} ends {millimetres(mean)} mm from the measured pose, mean"
+        f" over {len(last)} datasets ({millimetres(errors[best])} in {best} to {millimetres(errors[worst])}"
+        f" in {worst}; ADD: mean distance between the object's predicted and measured points); a uniform"
+        f" object ends {millimetres(uniform)} mm off."
     )
-    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results), learned]
+    if found.fitted is not None:
+        before = {one.dataset: judged(one)[1].model.final_add for one, *_ in found.datasets}
+        worse = [name for name, error in errors.items() if error >= before[name]]
+        text += (
+            f" Without effects, the model ends {millimetres(sum(before.values()) / len(before))} mm off; with"
+            f" them, the error falls in {len(errors) - len(worse)} of {len(errors)} datasets"
+        )
+        text += f", not in {', '.join(worse)}." if worse else "."
+    recurring = [
+        f"In {len(names)} of {len(last)} datasets ({', '.join(names)}): {sentence_part(pattern)}."
+        for pattern, names in found.recurring
+    ]
+    if recurring:
+        said = " ".join(["The same error recurs.", *recurring, "Sizes are those of the clearest dataset."])
+    else:
+        said = "No pattern of the remaining error is significant in more than one dataset."
+    return [text, said]
 
 
 def sentence_part(pattern: Pattern) -> str:

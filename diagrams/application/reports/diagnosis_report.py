@@ -3,7 +3,14 @@
 from collections.abc import Sequence
 from html import escape
 
-from slipmap.diagrams.application.figures import gain_figure, locked_figure, telling_push_figure
+from slipmap.diagrams.application.figures import (
+    alone_figure,
+    gain_figure,
+    joint_gain_figure,
+    joint_locked_figure,
+    locked_figure,
+    telling_push_figure,
+)
 from slipmap.diagrams.application.reports import diagnosis_words as phrases
 from slipmap.diagrams.application.reports.comparison_report import comparison_sections
 from slipmap.diagrams.application.reports.comparison_words import finding
@@ -12,7 +19,7 @@ from slipmap.diagrams.application.reports.html_page import Section, page, part, 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis.locked import with_locked
-from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.diagnosis.results import Diagnosis, JointDiagnosis
 from slipmap.models.measurements import PushDataset
 from slipmap.models.progress import Progress, silent
 
@@ -39,7 +46,7 @@ def diagnosis_report(
         f" effects tried in {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
     )
     lead = [
-        *phrases.sizes(diagnosis, dataset.grid),
+        *phrases.sizes(diagnosis, [dataset]),
         phrases.improvement(diagnosis),
         phrases.rivals_sentence(diagnosis),
     ]
@@ -63,6 +70,55 @@ def diagnosis_report(
     text = page(title, subtitle, lead, sections, headline=diagnosis.sentence)
     report("drawing", 1, 1)
     return text
+
+
+def joint_report(
+    diagnosis: JointDiagnosis, datasets: Sequence[PushDataset], effects: Sequence[Effect], where: str
+) -> str:
+    """The report of a joint diagnosis, a whole HTML document; arguments as in `diagnosis_report`."""
+    count = sum(len(dataset.trials) for dataset in datasets)
+    subtitle = (
+        f"{count} measured pushes of {len(datasets)} datasets, {len(effects)} effects tried in"
+        f" {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
+    )
+    lead = [
+        *phrases.sizes(diagnosis, datasets),
+        phrases.where_it_falls(diagnosis),
+        f"Next: {diagnosis.next_step(where)}",
+    ]
+    sections = []
+    for name in diagnosis.effects[:1]:
+        own = [p for p in diagnosis.parameters if p.effect == name]
+        sentence = next(effect.sentence for effect in effects if effect.name == name)
+        body = f"<p>{escape(sentence)}</p>"
+        if own:
+            body += table(
+                ["parameter", "value", "90 % interval", "meaning"],
+                parameter_rows(effects, own),
+                numbers=(1, 2),
+            )
+            body += picture(alone_figure(diagnosis.datasets, own), "Parameters from each dataset alone")
+            body += '<p class="note">Dots and lines: from each dataset alone, with 90 % intervals. Band: from'
+            body += " all datasets together.</p>"
+        sections.append(Section("answer", f"What is missing: {name}", body))
+    numbers = table(
+        phrases.JOINT_RANKING, phrases.joint_ranking(diagnosis), numbers=range(1, 5),
+        marked=[c.in_set for c in diagnosis.candidates],
+    )  # fmt: skip
+    drawn = picture(joint_gain_figure(diagnosis), "Gains of all candidates", wide=True)
+    body = f"<p>{phrases.JOINT_GAINS}.</p>{drawn}<details><summary>All numbers</summary>{numbers}</details>"
+    sections.append(Section("ranking", "Every effect that was tried", body))
+    body = table(
+        phrases.JOINT_DATASETS, phrases.joint_rows(diagnosis.datasets), numbers=range(1, 6),
+        caption=f"{phrases.JOINT_ERRORS}.",
+    )  # fmt: skip
+    if any(one.before is not None for one in diagnosis.datasets):
+        drawn = picture(joint_locked_figure(diagnosis.datasets), "Error on the locked pushes of each dataset")
+        body = f"{drawn}{body}"
+    sections.append(Section("locked", "Locked pushes of each dataset", body))
+    sections.append(Section("reading", "How to read the diagnosis", part("joint.html")))
+    title = f"{', '.join(dataset.name for dataset in datasets)}: what does the model miss?"
+    return page(title, subtitle, [text for text in lead if text], sections, headline=diagnosis.sentence)
 
 
 def compared(

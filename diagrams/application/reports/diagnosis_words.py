@@ -6,15 +6,22 @@ import click
 import numpy as np
 
 from slipmap.diagrams.application.reports.comparison_words import millimetres
-from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
+from slipmap.diagrams.application.reports.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis.results import CandidateResult, Diagnosis, ParameterEstimate
-from slipmap.models.inference.diagnosis.several import DatasetResult, JointDiagnosis
+from slipmap.models.inference.diagnosis.results import (
+    CandidateResult,
+    DatasetResult,
+    Diagnosis,
+    JointCandidate,
+    JointDiagnosis,
+    JointIdentification,
+    ParameterEstimate,
+)
+from slipmap.models.inference.diagnosis.several import EVIDENCE
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import CellGrid
 
 QUICK = (
     "A quick look: at most ten pushes, with larger steps. Chance was not simulated, so there are no"
@@ -74,16 +81,6 @@ def probe_sentence(name: str) -> str:
         if probe.name == name:
             return f"{probe.sentence[0].lower()}{probe.sentence[1:].rstrip('.')}"
     return ""
-
-
-def sizes(diagnosis: Diagnosis, grid: CellGrid) -> list[str]:
-    """The name and size of each effect of the answer, in words."""
-    told = []
-    for name in diagnosis.effects:
-        estimates = [p for p in diagnosis.parameters if p.effect == name]
-        if estimates:
-            told.append(f"{name}: {effect_in_words(name, estimates, grid)}.")
-    return told
 
 
 def evidence(diagnosis: Diagnosis) -> str:
@@ -216,7 +213,7 @@ def show_diagnosis(
 ) -> None:
     """Print a diagnosis of a dataset; `effects` are all that were tried, `where` is the dataset's path."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
+    for text in (*sizes(diagnosis, [dataset]), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)
     paragraph(QUICK if diagnosis.quick else "")
     if diagnosis.without_effects.share_of_known == 0.0:
@@ -255,43 +252,89 @@ def _show_locked(diagnosis: Diagnosis) -> None:
     table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))
 
 
-def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
-    """Print a joint diagnosis; `grid` is that of one object, whose size some effects depend on."""
-    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    for name in diagnosis.effects:
-        estimates = [p for p in diagnosis.parameters if p.effect == name]
+def sizes(
+    found: Diagnosis | JointDiagnosis | JointIdentification, datasets: Sequence[PushDataset]
+) -> list[str]:
+    """The name and size of each effect of the answer, or of those that several datasets share, in words."""
+    told = []
+    for name in found.effects:
+        estimates = [p for p in found.parameters if p.effect == name]
         if estimates:
-            paragraph(f"{name}: {effect_in_words(name, estimates, grid)}.")
-    paragraph(where_it_falls(diagnosis))
-    paragraph(f"Next: {diagnosis.next_step()}")
-    click.echo()
-    table(
-        "Effects that were tried; gains and evidence in nats (natural logarithms of probability ratios)",
-        ["effect", "gain", "refitted", "evidence", "status"],
+            words = effect_in_words(name, estimates, datasets[0].grid)
+            told.append(f"{name}: {words}{in_the_middle(name, estimates, datasets)}.")
+    return told
+
+
+def joint_ranking(diagnosis: JointDiagnosis) -> list[list[str]]:
+    """Name, first gain, p, refitted gain, evidence and status of each candidate."""
+    return [
         [
-            [
-                c.name,
-                nats(c.first_gain),
-                nats(c.gain),
-                nats(c.evidence),
-                "not ruled out" if c.in_set else c.objection or "ruled out: others explain more",
-            ]
-            for c in diagnosis.candidates
-        ],
-        numbers=(1, 2, 3),
-    )
-    table(
-        "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
-        " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone",
-        ["dataset", "open", "locked", "without", "with", "fall", "fitted alone"],
-        [_row(one) for one in diagnosis.datasets],
-        numbers=(1, 2, 3, 4, 5),
-    )
+            c.name,
+            nats(c.first_gain),
+            p_shown(c.p_value),
+            nats(c.gain),
+            nats(c.evidence),
+            _joint_standing(c),
+        ]
+        for c in diagnosis.candidates
+    ]
 
 
-def where_it_falls(diagnosis: JointDiagnosis) -> str:
+def _joint_standing(candidate: JointCandidate) -> str:
+    """Whether several datasets rule a candidate out, and why."""
+    if candidate.in_set:
+        return "not ruled out"
+    if candidate.evidence is None:
+        return "behind others to first order"
+    few = "explains too little" if candidate.evidence <= EVIDENCE else "others explain more"
+    return candidate.objection or few
+
+
+JOINT_RANKING = ("effect", "gain", "p", "refitted", "evidence", "status")
+JOINT_DATASETS = ("dataset", "open", "locked", "without", "with", "fall", "fitted alone")
+
+JOINT_GAINS = "Effects that were tried; gains and evidence in nats (natural logarithms of probability ratios)"
+JOINT_ERRORS = (
+    "Locked pushes of each dataset: error at the end without and with the answer, mm (ADD: mean distance"
+    " between predicted and measured points), fall of their cost, nats, and fit to this dataset alone"
+)
+
+
+def joint_rows(datasets: Sequence[DatasetResult]) -> list[list[str]]:
+    """Rows of a table with the columns `JOINT_DATASETS`."""
+    return [_row(one) for one in datasets]
+
+
+def show_together(
+    diagnosis: JointDiagnosis, datasets: Sequence[PushDataset], where: str = "DATASET..."
+) -> None:
+    """Print a joint diagnosis of datasets; `where` names them in a command."""
+    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
+    for text in (*sizes(diagnosis, datasets), where_it_falls(diagnosis)):
+        paragraph(text)
+    paragraph(f"Next: {diagnosis.next_step(where)}")
+    click.echo()
+    table(JOINT_GAINS, JOINT_RANKING, joint_ranking(diagnosis), numbers=(1, 2, 3, 4))
+    table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(diagnosis.datasets), numbers=(1, 2, 3, 4, 5))
+
+
+def joint_fit_findings(found: JointIdentification, datasets: Sequence[PushDataset]) -> list[str]:
+    """The findings of a joint fit of datasets, one paragraph each."""
+    first = f"{found.sentence} Evidence from the open pushes: {nats(found.evidence)} nats."
+    return [first, *sizes(found, datasets), where_it_falls(found)]
+
+
+def show_joint_fit(found: JointIdentification, datasets: Sequence[PushDataset]) -> None:
+    """Print a joint fit of datasets."""
+    for text in joint_fit_findings(found, datasets):
+        paragraph(text)
+    click.echo()
+    table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))
+
+
+def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
     """On which datasets the answer predicts the locked pushes better; empty without an answer."""
-    falls = {one.name: one.fall for one in diagnosis.datasets if one.fall is not None}
+    falls = {one.name: one.fall for one in found.datasets if one.fall is not None}
     if not falls:
         return ""
     against = [name for name, fall in falls.items() if fall <= 0.0]
@@ -299,10 +342,9 @@ def where_it_falls(diagnosis: JointDiagnosis) -> str:
     if against:
         better = len(falls) - len(against)
         which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
-    return (
-        f"With {diagnosis.effects[0]}, the locked pushes of {which}. Their total cost falls by"
-        f" {nats(diagnosis.fall)} nats."
-    )
+    alternatives = isinstance(found, JointDiagnosis)
+    names = found.effects[0] if alternatives else " and ".join(found.effects)
+    return f"With {names}, the locked pushes of {which}. Their total cost falls by {nats(found.fall)} nats."
 
 
 def _row(one: DatasetResult) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 from slipmap.diagrams.application.reports.comparison_words import decimals
 from slipmap.models.effects.effect import Effect, Parameter
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
+from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 
 Estimates = Mapping[str, ParameterEstimate]
@@ -43,6 +44,25 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
     else:
         readings = reader({e.name: e for e in estimates}, grid)
     return ", ".join(reading.said() for reading in readings)
+
+
+def in_the_middle(name: str, estimates: Sequence[ParameterEstimate], datasets: Sequence[PushDataset]) -> str:
+    """Clause on how far a turned tracker is off in the middle of the pushes; empty for other effects.
+
+    Its parameters hold at the world's origin, which may be far from the pushes.
+    """
+    p = {e.name: e for e in estimates}
+    if name != "tracker_shift" or p["angle"].low <= 0.0 <= p["angle"].high:
+        return ""
+    poses = np.concatenate([t.object_pose.values[:, :2] for one in datasets for t in one.trials])
+    x, y = middle = np.nanmean(poses, axis=0)
+    c, s = np.cos(p["angle"].value), np.sin(p["angle"].value)
+    off = np.array([c * x - s * y + p["x"].value, s * x + c * y + p["y"].value]) - middle
+    at, shift = 1e3 * middle, 1e3 * off
+    return (
+        f"; in the middle of the pushes (x {at[0]:.0f} mm, y {at[1]:.0f} mm), poses lie {shift[0]:.2f} mm,"
+        f" {shift[1]:.2f} mm (x, y) off"
+    )
 
 
 def parameter_rows(

@@ -7,7 +7,7 @@ import numpy as np
 
 from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
-from slipmap.models.inference.comparison import Comparison
+from slipmap.models.inference.comparison import Comparison, JointComparison
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Errors, noise_floor
@@ -186,6 +186,36 @@ def show_comparison(results: Sequence[Comparison]) -> None:
     )
     for result in results:
         _show_patterns(result, f", {result.label}" if len(results) > 1 else "")
+
+
+def joint_rows(found: JointComparison) -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of a table of several datasets: errors at the end, mm, on the pushes that judge."""
+    labels = [one.label for one in found.datasets[0]]
+    rows = []
+    for models in found.datasets:
+        role, totals = phrases.judged(models[0])
+        errors = [phrases.judged(one)[1].model for one in models]
+        rows.append(
+            [
+                models[0].dataset,
+                f"{totals.pushes} {phrases.ROLES[role]}",
+                *(phrases.millimetres(e.final_add) for e in (*errors, totals.uniform, totals.resting)),
+                str(len(models[-1].significant)),
+            ]
+        )
+    return ["dataset", "pushes", *labels, "uniform", "no motion", "patterns"], rows
+
+
+def show_joint_comparison(found: JointComparison) -> None:
+    """Print the mean errors of each dataset, and how many patterns its remaining error has."""
+    columns, rows = joint_rows(found)
+    table(
+        "Mean error at the end of the pushes that judge, mm (ADD: mean distance of the cells), and number of"
+        " significant patterns of the remaining error",
+        columns,
+        rows,
+        numbers=range(2, len(columns)),
+    )
 
 
 def _show_patterns(result: Comparison, head: str) -> None:

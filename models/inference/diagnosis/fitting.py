@@ -46,6 +46,11 @@ class Fitted:
         return self.likelihood.prior.effect_deviations(equations.hessian[0])
 
     @property
+    def scales(self) -> FloatArray:
+        """(P,) standard deviations of the parameters in the prior."""
+        return self.likelihood.prior.effect_scales
+
+    @property
     def maps(self) -> Maps:
         """One hypothesis."""
         return self.likelihood.prior.maps(self.z[None])

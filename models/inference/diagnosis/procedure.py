@@ -138,11 +138,12 @@ def diagnose(
 
     outcome, learned = judged(outcome)
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
-        again = inquiry.by_evidence(divided, seed)
-        found, with_it = judged(again) if again is not None else (outcome, learned)
-        if found.rivals:
-            outcome, learned = found, with_it
-            inquiry.accepted = list(found.effects)
+        for again in inquiry.by_evidence(divided, seed):
+            found, with_it = judged(again)
+            if found.rivals:
+                outcome, learned = found, with_it
+                inquiry.accepted = list(found.effects)
+                break
     misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
     if misfit is not None and outcome.verdict == "adequate":
         outcome = outcomes.far_off(inquiry.base, misfit)
@@ -353,28 +354,32 @@ class Inquiry:
         found.sort(key=lambda pair: pair.cost)
         return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
 
-    def by_evidence(self, divided: PushDataset, seed: int) -> Outcome | None:
-        """The effect named by a fit that tolerates large errors; None where it names none.
+    def by_evidence(self, divided: PushDataset, seed: int) -> list[Outcome]:
+        """What a fit that tolerates large errors names: two effects at once and the first of them, or one
+        effect, or nothing.
 
         Where the model error is far above the noise, a few pushes decide a strict fit. If neither noise nor
         maps are known, the pushes themselves may scatter that much, and no effect is named.
         """
         if self.error.motion <= ROUGH or not (self.fitter.noise.declared or divided.known):
-            return None
-        effect = None
+            return []
+        effects: tuple[Effect, ...] = ()
         with suppress(RolloutError):
-            effect = named_by_evidence(
+            effects = named_by_evidence(
                 divided, self.effects, seed, partial(self.report, "trying a forgiving fit")
             )
-        if effect is None:
-            return None
-        place = self.first.candidates.index(effect)
-        start = effect.start_values(self.scene)[int(self.first.start[place])]
-        guess = self.fitter.start_of(effect, start, self.error, self.base)
-        fitted = self.fitter.with_effects((effect,), self.error, self.base, guess, afresh=True)
-        if fitted is None:
-            return None
-        return outcomes.one_of([fitted])
+        guesses = []
+        for effect in effects:
+            place = self.first.candidates.index(effect)
+            start = effect.start_values(self.scene)[int(self.first.start[place])]
+            guesses.append(self.fitter.start_of(effect, start, self.error, self.base))
+        found = []
+        for count in range(len(effects), 0, -1):
+            values = np.concatenate(guesses[:count])
+            fitted = self.fitter.with_effects(effects[:count], self.error, self.base, values, afresh=True)
+            if fitted is not None:
+                found.append(outcomes.one_of([fitted]) if count == 1 else outcomes.two_at_once([fitted]))
+        return found
 
     def candidates(self, learned: Sequence[Identification]) -> list[CandidateResult]:
         """All named candidates, best first; those in the answer carry the parameters that were learned."""

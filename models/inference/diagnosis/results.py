@@ -1,8 +1,10 @@
-"""What a diagnosis reports."""
+"""What a diagnosis reports, of one dataset or of several."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -191,3 +193,159 @@ class Diagnosis(Outcome):
             "seconds": self.seconds,
             "seed": self.seed,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class JointCandidate:
+    """What several datasets say about one effect."""
+
+    name: str
+    first_gain: float  # drop in cost to first order, nats
+    # share of random signs of whole pushes under which the largest first gain of all effects is at least this
+    p_value: float | None
+    gain: float | None  # the same after a full refit; None without one
+    evidence: float | None  # the same less what its parameters would gain anyway
+    in_set: bool  # whether the data cannot rule it out
+    objection: str | None  # what speaks against an effect that the locked pushes have judged
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetResult:
+    """One dataset of several."""
+
+    name: str
+    open_trials: tuple[str, ...]  # pushes that were fitted
+    locked: tuple[str, ...]  # pushes that judge
+    whole: bool  # whether the whole object was locked away: its open pushes taught only its maps
+    before: LockedErrors | None  # without effects; None where nothing was locked
+    after: LockedErrors | None  # with the best effect; None where there is none
+    fall: float | None  # drop in cost of its locked pushes with the best effect, nats
+    # the best effect's parameters from this dataset alone, to first order; empty for a whole locked object
+    alone: tuple[ParameterEstimate, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The machine-readable result, lengths in m."""
+
+        def of(found: LockedErrors | None) -> dict[str, float] | None:
+            if found is None:
+                return None
+            return {
+                "path": float(found.path.mean()),
+                "final": float(found.final.mean()),
+                "misfit": found.total_misfit,
+            }
+
+        return {
+            "dataset": self.name,
+            "open_trials": list(self.open_trials),
+            "locked_trials": list(self.locked),
+            "whole": self.whole,
+            "before": of(self.before),
+            "after": of(self.after),
+            "fall": self.fall,
+            "alone": _by_name(self.alone),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class JointDiagnosis:
+    """Result of `diagnose_together`."""
+
+    verdict: str  # adequate, effect, ambiguous or undecided
+    sentence: str  # the verdict in words
+    effects: tuple[str, ...]  # what the data cannot rule out, best first
+    shared: bool  # whether the datasets have one set of the best effect's parameters
+    parameters: tuple[ParameterEstimate, ...]  # shared parameters of the effects, each effect fitted alone
+    candidates: tuple[JointCandidate, ...]  # best first
+    p_value: float | None  # of the largest first gain
+    datasets: tuple[DatasetResult, ...]
+    fall: float | None  # drop in cost of all locked pushes with the best effect, nats
+    seconds: float
+    seed: int
+
+    @property
+    def effect(self) -> str | None:
+        """The one effect that is named."""
+        return self.effects[0] if self.verdict == "effect" else None
+
+    def next_step(self, where: str = "DATASET...") -> str:
+        """What to do next, with the command to type; `where` names the datasets in that command."""
+        if self.effect is not None:
+            command = f"slipmap fit {where} --effect {self.effect} -o with-{self.effect}.npz"
+            return f"run `{command}` to learn this model, with one belief of each object."
+        if self.verdict == "adequate":
+            return (
+                "for each dataset, run `slipmap identify DATASET -o belief.npz` to learn the model to plan"
+                " with."
+            )
+        return (
+            "run `slipmap diagnose DATASET` for each dataset, since a joint diagnosis misses what only one of"
+            " them has; or name with --apart what they do not share."
+        )
+
+    def to_json(self, where: str = "DATASET...") -> dict[str, Any]:
+        """The machine-readable result; `where` as in `next_step`."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "next_step": self.next_step(where),
+            "effect": self.effect,
+            "effects": list(self.effects),
+            "shared": self.shared,
+            "parameters": _by_effect(self.parameters),
+            "candidates": [vars(candidate) for candidate in self.candidates],
+            "p_value": self.p_value,
+            "datasets": [one.to_json() for one in self.datasets],
+            "fall": self.fall,
+            "seconds": self.seconds,
+            "seed": self.seed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class JointIdentification:
+    """Result of `fit_together`."""
+
+    verdict: str  # for, against or undecided
+    sentence: str  # the verdict in words
+    effects: tuple[str, ...]  # in the model
+    parameters: tuple[ParameterEstimate, ...]  # shared parameters of the effects
+    evidence: float  # drop in cost of the open pushes less what the parameters would gain anyway, nats
+    fall: float  # drop in cost of all locked pushes, nats
+    datasets: tuple[DatasetResult, ...]
+    learned: tuple[Identification, ...]  # of each dataset, with the effects
+    seconds: float
+    seed: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The machine-readable result."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": list(self.effects),
+            "parameters": _by_effect(self.parameters),
+            "evidence": self.evidence,
+            "fall": self.fall,
+            "datasets": [one.to_json() for one in self.datasets],
+            "seconds": self.seconds,
+            "seed": self.seed,
+        }
+
+
+def _by_effect(estimates: Sequence[ParameterEstimate]) -> dict[str, dict[str, dict[str, Any]]]:
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for p in estimates:
+        own = {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
+        found.setdefault(p.effect, {})[p.name] = own
+    return found
+
+
+def _by_name(estimates: Sequence[ParameterEstimate]) -> dict[str, dict[str, Any]]:
+    """By parameter; where there are several effects, by effect and parameter in one name."""
+    single = len({p.effect for p in estimates}) == 1
+    found = _by_effect(estimates)
+    return {
+        name if single else f"{effect}: {name}": own
+        for effect, parameters in found.items()
+        for name, own in parameters.items()
+    }

@@ -11,24 +11,38 @@ tracker.
    together is out. If a rival that fails on the locked pushes is still far ahead, nothing is named.
 
 Effects of an object have separate parameters in each dataset; for a whole locked object they are free.
+
+`fit_together` asks about given effects in the same way, and learns a belief of each object. What the other
+datasets tell about a shared parameter is the prior of this object's own fit; the parameter may differ from
+dataset to dataset by as much as the datasets disagree.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials
-from slipmap.models.inference.diagnosis.results import ParameterEstimate
+from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials, with_locked
+from slipmap.models.inference.diagnosis.results import (
+    DatasetResult,
+    JointCandidate,
+    JointDiagnosis,
+    JointIdentification,
+    ParameterEstimate,
+)
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.identification import check_request, learn, named
+from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
@@ -36,13 +50,13 @@ from slipmap.models.inference.push_errors import errors
 from slipmap.models.inference.together import JointFit, Taught, Together, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, StageProgress, part_of, silent
+from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.progress import Progress, StageProgress, about, part_of, silent
 
 _REFITTED = 8
 """Number of effects that are refitted in full."""
 
-_EVIDENCE = 5.0
+EVIDENCE = 5.0
 """Evidence, in nats, above which an effect counts: 150 to 1."""
 
 _ALONE, _AHEAD = 20.0, 0.8
@@ -61,120 +75,12 @@ _NEAR_NOISE = 2.0
 """Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointCandidate:
-    """What several datasets say about one effect."""
-
-    name: str
-    first_gain: float  # drop in cost to first order, nats
-    gain: float | None  # the same after a full refit; None without one
-    evidence: float | None  # the same less what its parameters would gain anyway
-    in_set: bool  # whether the data cannot rule it out
-    objection: str | None  # what speaks against an effect that the locked pushes have judged
-
-
-@dataclass(frozen=True, eq=False)
-class DatasetResult:
-    """One dataset of several."""
-
-    name: str
-    open_trials: tuple[str, ...]  # pushes that were fitted
-    locked: tuple[str, ...]  # pushes that judge
-    whole: bool  # whether the whole object was locked away: its open pushes taught only its maps
-    before: LockedErrors | None  # without effects; None where nothing was locked
-    after: LockedErrors | None  # with the best effect; None where there is none
-    fall: float | None  # drop in cost of its locked pushes with the best effect, nats
-    # the best effect's parameters from this dataset alone, to first order; empty for a whole locked object
-    alone: tuple[ParameterEstimate, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """The machine-readable result, lengths in m."""
-
-        def of(found: LockedErrors | None) -> dict[str, float] | None:
-            if found is None:
-                return None
-            return {
-                "path": float(found.path.mean()),
-                "final": float(found.final.mean()),
-                "misfit": found.total_misfit,
-            }
-
-        return {
-            "dataset": self.name,
-            "open_trials": list(self.open_trials),
-            "locked_trials": list(self.locked),
-            "whole": self.whole,
-            "before": of(self.before),
-            "after": of(self.after),
-            "fall": self.fall,
-            "alone": _by_name(self.alone),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class JointDiagnosis:
-    """Result of `diagnose_together`."""
-
-    verdict: str  # adequate, effect, ambiguous or undecided
-    sentence: str  # the verdict in words
-    effects: tuple[str, ...]  # what the data cannot rule out, best first
-    shared: bool  # whether the datasets have one set of the best effect's parameters
-    parameters: tuple[ParameterEstimate, ...]  # shared parameters of the effects, each effect fitted alone
-    candidates: tuple[JointCandidate, ...]  # best first
-    datasets: tuple[DatasetResult, ...]
-    fall: float | None  # drop in cost of all locked pushes with the best effect, nats
-    seconds: float
-    seed: int
-
-    @property
-    def effect(self) -> str | None:
-        """The one effect that is named."""
-        return self.effects[0] if self.verdict == "effect" else None
-
-    def next_step(self) -> str:
-        """What to do next, with the command to type."""
-        if self.effect is not None:
-            return f"for each dataset, run `slipmap fit DATASET --effect {self.effect}` to learn this model."
-        if self.verdict == "adequate":
-            return (
-                "for each dataset, run `slipmap identify DATASET -o belief.npz` to learn the model to plan"
-                " with."
-            )
-        return (
-            "run `slipmap diagnose DATASET` for each dataset, since a joint diagnosis misses what only one of"
-            " them has; or name with --apart what they do not share."
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """The machine-readable result."""
-        return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "next_step": self.next_step(),
-            "effect": self.effect,
-            "effects": list(self.effects),
-            "shared": self.shared,
-            "parameters": {
-                name: _by_name([p for p in self.parameters if p.effect == name])
-                for name in dict.fromkeys(p.effect for p in self.parameters)
-            },
-            "candidates": [vars(candidate) for candidate in self.candidates],
-            "datasets": [one.to_json() for one in self.datasets],
-            "fall": self.fall,
-            "seconds": self.seconds,
-            "seed": self.seed,
-        }
-
-
-def _by_name(estimates: Sequence[ParameterEstimate]) -> dict[str, dict[str, Any]]:
-    return {p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in estimates}
-
-
 def diagnose_together(
     datasets: Sequence[PushDataset],
     *,
     effects: Sequence[Effect] = LIBRARY,
     apart: Collection[str] = (),
+    draws: int = 199,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> JointDiagnosis:
@@ -185,7 +91,8 @@ def diagnose_together(
         effects: candidates.
         apart: owners of effects that the datasets do not share, out of `object`, `table`, `tracker`,
             `finger`, `force sensor`; the object is never shared.
-        seed: of the draw of locked pushes.
+        draws: random signs of whole pushes for the p-values.
+        seed: of the draws and of the choice of locked pushes.
         progress: called with (stage, done, total).
 
     Raises:
@@ -201,44 +108,106 @@ def diagnose_together(
         >>> slipmap.diagnose_together([first, again], effects=tilt).effects
         ()
     """
+    check_together(datasets, apart)
+    started = time.perf_counter()
+    inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
+    return replace(inquiry.run(draws), seconds=time.perf_counter() - started)
+
+
+def fit_together(
+    datasets: Sequence[PushDataset],
+    effects: Sequence[Effect | str],
+    *,
+    apart: Collection[str] = (),
+    hypotheses: int = 20,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> JointIdentification:
+    """Learn the maps of several objects, each from its own dataset, with effects that they share.
+
+    Pushes are locked away, and the effects fitted and judged, as by `diagnose_together` with the same seed.
+
+    Args:
+        datasets, apart, progress: as in `diagnose_together`.
+        effects: of the model; those of the library may be given by name.
+        hypotheses: of each belief, at least 2.
+        seed: of every random draw.
+
+    Raises:
+        DatasetError: as in `diagnose_together`, or the model with the effects cannot be fitted.
+        ValueError: an unknown owner in `apart`, no effect, or too few hypotheses.
+        EffectError: an unknown effect, or a formula that cannot be used.
+
+    Example:
+        >>> import dataclasses
+        >>> import slipmap
+        >>> first, again = (slipmap.simulated_hammer(seed=s, fit=2, heldout=1)[0] for s in (1, 2))
+        >>> again = dataclasses.replace(again, name="again")
+        >>> found = slipmap.fit_together([first, again], ["table_tilt"], hypotheses=2)
+        >>> [one.belief.dataset for one in found.learned]
+        ['hammer', 'again']
+    """
+    check_together(datasets, apart)
+    added = named(effects)
+    if not added:
+        raise ValueError("name at least one effect to add to the model")
+    for dataset in datasets:
+        check_request(dataset, hypotheses)
+    started = time.perf_counter()
+    inquiry = _Inquiry(datasets, added, frozenset(apart), seed, progress or silent)
+    return replace(inquiry.learned_with_all(hypotheses), seconds=time.perf_counter() - started)
+
+
+def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> None:
+    """Refuse datasets that cannot be taken together, and unknown owners of effects.
+
+    Raises:
+        DatasetError: fewer than two datasets, or two with the same name.
+        ValueError: an unknown owner.
+    """
     strangers = [owner for owner in apart if owner not in get_args(Owner)]
     if strangers:
         raise ValueError(f"apart: unknown owner {strangers[0]!r}; choose from {', '.join(get_args(Owner))}")
     names = [dataset.name for dataset in datasets]
     if len(datasets) < 2 or len(set(names)) < len(names):
         raise DatasetError(
-            "a joint diagnosis needs two or more datasets with different names, got"
-            f" {', '.join(names) or 'none'}"
+            f"a joint model needs two or more datasets with different names, got {', '.join(names) or 'none'}"
         )
-    started = time.perf_counter()
-    inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
-    return replace(inquiry.run(), seconds=time.perf_counter() - started)
 
 
 def named_by_evidence(
     dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: StageProgress
-) -> Effect | None:
-    """The effect that one dataset names by evidence and locked pushes, under the forgiving likelihood.
+) -> tuple[Effect, ...]:
+    """The effects that one dataset names by evidence and locked pushes, under the forgiving likelihood.
 
     Where pushes are missed by many times the noise, a few of them decide a strict fit. The effect must have
-    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic.
+    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic; so
+    must a second one with the first in the model.
 
     Args:
         dataset: with the locked pushes held out.
         effects: candidates.
         seed: of the predictions.
         progress: called with the numbers of parts done and of all parts.
+
+    Returns:
+        None, one or two effects, the first first.
     """
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
-    found = inquiry.run()
+    found = inquiry.run(0)
     evidence = {one.name: one.evidence for one in found.candidates if one.evidence is not None}
-    if found.effect is None:
-        return None
+    if found.effect is None or found.effect != _far_ahead(evidence):
+        return ()
+    second = inquiry.second_to(found.effect)
+    names = [found.effect] if second is None else [found.effect, second]
+    return tuple(next(effect for effect in effects if effect.name == name) for name in names)
+
+
+def _far_ahead(evidence: Mapping[str, float]) -> str | None:
+    """The name of the largest evidence, if that suffices alone and is far ahead of the next."""
     first, *others = sorted(evidence, key=lambda name: -evidence[name])
     least = max([_ALONE, *(evidence[name] / _AHEAD for name in others)])
-    if found.effect != first or evidence[first] < least:
-        return None
-    return next(effect for effect in effects if effect.name == first)
+    return first if evidence[first] >= least else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,13 +239,18 @@ class _Ground:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A rival that the locked pushes have judged."""
+    """A model with effects that the locked pushes have judged."""
 
-    effect: Effect
     fit: JointFit
     after: list[LockedErrors | None]  # of each dataset
     falls: list[float]  # drop in cost of each dataset's locked pushes, nats
+    held: list[Maps]  # best maps of each dataset with the effects held, one hypothesis
     score: float  # evidence from the open pushes plus drop in cost of the locked ones, nats
+
+    @property
+    def name(self) -> str:
+        """The effects."""
+        return " and ".join(effect.name for effect in self.fit.effects)
 
     @property
     def fall(self) -> float:
@@ -302,7 +276,7 @@ class _Inquiry:
         report: Progress,
     ) -> None:
         self.effects, self.apart, self.seed, self.report = effects, apart, seed, report
-        rng = np.random.default_rng(seed)
+        self.rng = rng = np.random.default_rng(seed)
         count = len(datasets)
         whole = rng.choice(count, count // _WHOLE_FROM, replace=False)
         stage = partial(report, "fitting without effects")
@@ -312,12 +286,16 @@ class _Inquiry:
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
+        self.fits: dict[str, JointFit] = {}  # of single effects, by name
+        self.starts: dict[str, FloatArray] = {}  # their parameters to start from
+        self.judged: dict[str, _Judged] = {}  # those that the locked pushes have judged
 
-    def run(self) -> JointDiagnosis:
+    def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
-        first = self.together.first_gains(self.effects, partial(self.report, "screening effects"))
+        stage = partial(self.report, "screening effects")
+        first = self.together.first_gains(self.effects, stage, draws, self.rng)
         base = self.together.fitted((), ())
-        fits: dict[str, JointFit] = {}
+        fits = self.fits
         evidence: dict[str, float] = {}
         for step, one in enumerate(first[:_REFITTED]):
             self.report("refitting with effects", step, _REFITTED)
@@ -326,51 +304,159 @@ class _Inquiry:
             except (RolloutError, np.linalg.LinAlgError):
                 continue
             fits[one.effect.name] = fit
-            evidence[one.effect.name] = base.cost - fit.cost - (fit.occam - base.occam)
+            self.starts[one.effect.name] = one.start
+            evidence[one.effect.name] = fit.evidence(base)
         self.report("refitting with effects", _REFITTED, _REFITTED)
         ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
-        asked = [name for name in ahead if evidence[name] > _EVIDENCE][:_JUDGED]
+        asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
         judged = [
             self._judge(fits[name], evidence[name], part_of(stage, step, len(asked)))
             for step, name in enumerate(asked)
         ]
+        self.judged = {one.name: one for one in judged}
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
-        objections = {one.effect.name: self._objection(one) for one in judged if one not in there}
+        objections = {one.name: self._objection(one) for one in judged if one not in there}
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
                 one.gain,
+                one.p_value,
                 base.cost - fits[one.effect.name].cost if one.effect.name in fits else None,
                 evidence.get(one.effect.name),
-                any(one.effect is rival.effect for rival in kept),
+                any(one.effect.name == rival.name for rival in kept),
                 objections.get(one.effect.name),
             )
-            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.gain - 1e6))
+            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
         )
         return self._answer(kept, judged, candidates)
 
-    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
-        """Errors on the locked pushes, with every object's maps refitted and the effect held."""
-        (effect,) = fit.effects
-        shared = is_shared(effect, self.apart)
-        after: list[LockedErrors | None] = []
-        falls, asked = [], 0
+    def second_to(self, name: str) -> str | None:
+        """The effect that is clearly missing besides a first, which was named; None where there is none.
+
+        It counts by the same rules: its evidence on top of the first, and the fall of the locked pushes' cost
+        beyond that by the first alone.
+        """
+        first = self.fits[name]
+        pairs: dict[str, JointFit] = {}
+        for step, other in enumerate(self.fits):
+            self.report("trying a second effect", step, len(self.fits))
+            if other == name:
+                continue
+            effects = (*first.effects, *self.fits[other].effects)
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                pairs[other] = self.together.fitted(effects, [first.values(0), self.starts[other]])
+        evidence = {other: pair.evidence(first) for other, pair in pairs.items()}
+        second = _far_ahead(evidence) if evidence else None
+        if second is None:
+            return None
+        judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
+        helps = judged.fall > self.judged[name].fall + _RIVAL and self._there(judged)
+        return second if helps else None
+
+    def learned_with_all(self, hypotheses: int) -> JointIdentification:
+        """Fit all effects at once, judge them, and learn a belief of each object; `seconds` stays 0.
+
+        Raises:
+            DatasetError: the model with the effects cannot be fitted.
+        """
+        first = self.together.first_gains(self.effects, partial(self.report, "screening effects"))
+        starts = {one.effect.name: one.start for one in first}
+        names = " and ".join(effect.name for effect in self.effects)
+        base = self.together.fitted((), ())
+        self.report("refitting with effects", 0, 1)
+        try:
+            fit = self.together.fitted(self.effects, [starts[effect.name] for effect in self.effects])
+        except (RolloutError, np.linalg.LinAlgError) as error:
+            raise DatasetError(
+                f"the model with {names} cannot be fitted to these datasets: {error}"
+            ) from error
+        self.report("refitting with effects", 1, 1)
+        evidence = fit.evidence(base)
+        judged = self._judge(fit, evidence, partial(self.report, "judging by locked pushes"))
+        verdict, objection = "undecided", f": {self._objection(judged)}"
+        if evidence <= EVIDENCE:
+            objection = ": the open pushes are explained hardly better with it"
+        elif judged.falls_in_most and judged.fall > _RIVAL and self._there(judged):
+            verdict = "for"
+        if judged.fall < -_RIVAL:
+            verdict, objection = "against", ": the locked pushes are predicted worse with it"
+        said = {
+            "for": f"The datasets support {names}.",
+            "against": f"THE DATASETS SPEAK AGAINST {names}{objection}.",
+            "undecided": f"The datasets do not show whether {names} is present{objection}.",
+        }
+        learned = []
         for k, ground in enumerate(self.grounds):
-            own = ground.whole and not shared
-            values = effect.nulls if own else fit.values(0 if ground.whole else asked)
+            values, scales = self._told_by_others(fit, k)
+            found = EffectsGiven(self.effects, values, scales, judged.held[k])
+            dataset = with_locked(ground.taught.dataset, [o.trial for o in ground.locked])
+            own = about(dataset.name, self.report)
+            everything = observe_all(dataset)
+            learned.append(
+                learn(dataset, everything, found, hypotheses=hypotheses, seed=self.seed, report=own)
+            )
+        return JointIdentification(
+            verdict, said[verdict], tuple(effect.name for effect in self.effects), self._estimates(judged),
+            evidence, judged.fall, self._by_dataset(judged), tuple(learned), 0.0, self.seed,
+        )  # fmt: skip
+
+    def _place(self, k: int) -> int | None:
+        """Place of dataset k among those that teach effects; None for a whole locked object."""
+        ground = self.grounds[k]
+        return None if ground.whole else self.asked.index(ground)
+
+    def _shared(self, effects: Sequence[Effect]) -> NDArray[np.bool_]:
+        """(P,) whether the datasets share each parameter of some effects."""
+        return np.concatenate([np.full(len(e.parameters), is_shared(e, self.apart)) for e in effects])
+
+    def _told_by_others(self, fit: JointFit, k: int) -> tuple[FloatArray, FloatArray]:
+        """Values (P,) and standard deviations of the effects' parameters to expect in dataset k, before its
+        own pushes are seen: from the other datasets, for parameters that they share."""
+        place, values = self._place(k), self._values(fit, k)
+        scales = np.array(fit.scales)
+        centers = np.concatenate([effect.nulls for effect in fit.effects])
+        alone = [fit.alone(j) for j in range(len(self.asked))]
+        amplitudes = np.concatenate([effect.amplitudes for effect in fit.effects])
+        for i in np.flatnonzero(self._shared(fit.effects)):
+            if not amplitudes[i]:
+                scales[i] = fit.deviations(0)[i]
+                continue
+            own, widths = (np.array([one[part][i] for one in alone]) for part in (0, 1))
+            scatter = _between(own, widths)
+            weights = 1.0 / (widths**2 + scatter)
+            if place is not None:
+                weights[place] = 0.0
+            precision = float(weights.sum()) + scales[i] ** -2
+            values[i] = (float(weights @ own) + centers[i] * scales[i] ** -2) / precision
+            scales[i] = np.sqrt(1.0 / precision + scatter)
+        return np.clip(values, *bounds(fit.effects)), scales
+
+    def _values(self, fit: JointFit, k: int) -> FloatArray:
+        """(P,) parameters in dataset k; those of a whole locked object's own effects are at their nulls."""
+        place = self._place(k)
+        if place is not None:
+            return fit.values(place)
+        nulls = np.concatenate([effect.nulls for effect in fit.effects])
+        return np.where(self._shared(fit.effects), fit.values(0), nulls)
+
+    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
+        """Errors on the locked pushes, with every object's maps refitted and the effects held."""
+        after: list[LockedErrors | None] = []
+        falls, held = [], []
+        for k, ground in enumerate(self.grounds):
+            free = ~self._shared(fit.effects) & ground.whole
             stage = part_of(progress, k, len(self.grounds))
-            free = np.full(len(values), own)
-            prior, z = ground.taught.holding((effect,), values, free, stage)
+            prior, z = ground.taught.holding(fit.effects, self._values(fit, k), free, stage)
             before, now = self.before[k], ground.judged(prior, z, self.seed)
             after.append(None if now is None else now[0])
             falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
-            asked += not ground.whole
-        return _Judged(effect, fit, after, falls, evidence + sum(falls))
+            held.append(prior.maps(z[None]))
+        return _Judged(fit, after, falls, held, evidence + sum(falls))
 
     def _objection(self, one: _Judged) -> str:
         """Why the locked pushes or its interval speak against an effect."""
@@ -387,25 +473,54 @@ class _Inquiry:
         return "its 90 % interval includes the value without the effect"
 
     def _there(self, one: _Judged) -> bool:
-        """Whether the interval of any amplitude excludes its null; True for an effect that is not shared."""
-        if not is_shared(one.effect, self.apart):
-            return True
-        pairs = zip(one.effect.parameters, self._estimates(one), strict=True)
-        return any(p.null is not None and not e.low <= p.null <= e.high for p, e in pairs)
+        """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is
+        not shared."""
+        estimates = {(e.effect, e.name): e for e in self._estimates(one)}
+
+        def stands(effect: Effect) -> bool:
+            pairs = [(p, estimates[effect.name, p.name]) for p in effect.parameters if p.null is not None]
+            return any(not e.low <= p.center <= e.high for p, e in pairs)
+
+        return all(stands(effect) for effect in one.fit.effects if is_shared(effect, self.apart))
 
     def _estimates(self, one: _Judged) -> tuple[ParameterEstimate, ...]:
         """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
         values, deviations = one.fit.values(0), one.fit.deviations(0)
+        shared = self._shared(one.fit.effects)
         alone = [one.fit.alone(k) for k in range(len(self.asked))]
-        for i in np.flatnonzero(one.effect.amplitudes):
+        amplitudes = np.concatenate([effect.amplitudes for effect in one.fit.effects])
+        for i in np.flatnonzero(amplitudes):
             scatter = _between(np.array([v[i] for v, _ in alone]), np.array([s[i] for _, s in alone]))
             deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(alone))
-        return _intervals(one.effect, values, deviations)
+        every = _intervals(one.fit.effects, values, deviations)
+        return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
+
+    def _by_dataset(self, best: _Judged | None) -> tuple[DatasetResult, ...]:
+        """Each dataset with and without the effects of a model."""
+        results = []
+        for k, ground in enumerate(self.grounds):
+            place, before = self._place(k), self.before[k]
+            alone: tuple[ParameterEstimate, ...] = ()
+            if best is not None and place is not None:
+                alone = _intervals(best.fit.effects, *best.fit.alone(place))
+            results.append(
+                DatasetResult(
+                    ground.taught.dataset.name,
+                    tuple(o.trial for o in ground.taught.observations),
+                    tuple(o.trial for o in ground.locked),
+                    ground.whole,
+                    None if before is None else before[0],
+                    None if best is None else best.after[k],
+                    None if best is None or before is None else best.falls[k],
+                    alone,
+                )
+            )
+        return tuple(results)
 
     def _answer(
         self, kept: Sequence[_Judged], judged: Sequence[_Judged], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
-        names = tuple(one.effect.name for one in kept)
+        names = tuple(one.name for one in kept)
         best = kept[0] if kept else None
         squares = [one[0].misfit ** 2 for one in self.before if one is not None]
         if len(names) == 1:
@@ -419,9 +534,7 @@ class _Inquiry:
         elif judged:
             verdict = "undecided"
             first = max(judged, key=lambda one: one.score)
-            sentence = (
-                f"{first.effect.name} would explain most, but {self._objection(first)}. No effect is named."
-            )
+            sentence = f"{first.name} would explain most, but {self._objection(first)}. No effect is named."
         elif squares and float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
             verdict = "undecided"
             sentence = (
@@ -430,30 +543,12 @@ class _Inquiry:
             )
         else:
             verdict, sentence = "adequate", "The model explains the data; no effect is missing."
-        shared = best is not None and is_shared(best.effect, self.apart)
-        results, asked = [], 0
-        for k, ground in enumerate(self.grounds):
-            alone: tuple[ParameterEstimate, ...] = ()
-            if best is not None and not ground.whole:
-                alone = _intervals(best.effect, *best.fit.alone(asked))
-            asked += not ground.whole
-            results.append(
-                DatasetResult(
-                    ground.taught.dataset.name,
-                    tuple(o.trial for o in ground.taught.observations),
-                    tuple(o.trial for o in ground.locked),
-                    ground.whole,
-                    None if (before := self.before[k]) is None else before[0],
-                    None if best is None else best.after[k],
-                    None if best is None or before is None else best.falls[k],
-                    alone,
-                )
-            )
+        shared = best is not None and is_shared(best.fit.effects[0], self.apart)
+        largest = max((c.first_gain for c in candidates), default=0.0)
         return JointDiagnosis(
-            verdict, sentence, names, shared,
-            tuple(p for one in kept if is_shared(one.effect, self.apart) for p in self._estimates(one)),
-            candidates, tuple(results),
-            None if best is None else best.fall, 0.0, self.seed,
+            verdict, sentence, names, shared, tuple(p for one in kept for p in self._estimates(one)),
+            candidates, next((c.p_value for c in candidates if c.first_gain == largest), None),
+            self._by_dataset(best), None if best is None else best.fall, 0.0, self.seed,
         )  # fmt: skip
 
 
@@ -480,9 +575,12 @@ def _between(values: FloatArray, deviations: FloatArray) -> float:
     return max(0.0, excess / float(weights.sum() - (weights**2).sum() / weights.sum()))
 
 
-def _intervals(effect: Effect, values: FloatArray, spread: FloatArray) -> tuple[ParameterEstimate, ...]:
+def _intervals(
+    effects: Sequence[Effect], values: FloatArray, spread: FloatArray
+) -> tuple[ParameterEstimate, ...]:
     """90 % intervals, clipped to the allowed range."""
-    allowed = bounds([effect])
+    allowed = bounds(effects)
     rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
-    numbers = zip(effect.parameters, *rows, strict=True)
-    return tuple(ParameterEstimate(effect.name, p.name, p.unit, *own) for p, *own in numbers)
+    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
+    numbers = zip(every, *rows, strict=True)
+    return tuple(ParameterEstimate(*names, *own) for names, *own in numbers)

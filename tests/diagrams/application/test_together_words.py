@@ -8,14 +8,24 @@ import pytest
 from schemas import assert_as_described
 
 import slipmap as slipmap_package
+from slipmap.diagrams.application.reports.comparison_words import joint_findings
+from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 from slipmap.diagrams.application.reports.diagnosis_words import show_together, where_it_falls
+from slipmap.diagrams.application.reports.effect_words import in_the_middle
+from slipmap.diagrams.application.reports.tables import joint_rows
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.inference.comparison import Comparison, JointComparison, totals
 from slipmap.models.inference.diagnosis.locked import LockedErrors
-from slipmap.models.inference.diagnosis.results import ParameterEstimate
-from slipmap.models.inference.diagnosis.several import DatasetResult, JointCandidate, JointDiagnosis
+from slipmap.models.inference.diagnosis.results import (
+    DatasetResult,
+    JointCandidate,
+    JointDiagnosis,
+    JointIdentification,
+    ParameterEstimate,
+)
+from slipmap.models.inference.residual_structure import Pattern
 from slipmap.models.measurements import write_dataset
-from slipmap.models.objects import cells_from_polygon
-
-SQUARE = cells_from_polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]], count=9)
+from tests.made_predictions import made_prediction
 
 
 def made(*falls, verdict="effect"):
@@ -30,11 +40,13 @@ def made(*falls, verdict="effect"):
         for k, fall in enumerate(falls)
     )
     candidates = (
-        JointCandidate("sensor_latency", 20.0, 25.0, 22.0, named, None),
-        JointCandidate("skate", 1.0, None, None, False, None),
+        JointCandidate("sensor_latency", 20.0, 0.005, 25.0, 22.0, named, None),
+        JointCandidate("tether", 9.0, 0.4, 12.0, 8.0, False, None),
+        JointCandidate("table_tilt", 8.0, 0.6, 6.0, 2.0, False, None),
+        JointCandidate("skate", 1.0, 1.0, None, None, False, None),
     )
     return JointDiagnosis(
-        verdict, "A sentence.", ("sensor_latency",) if named else (), named, lag, candidates, datasets,
+        verdict, "A sentence.", ("sensor_latency",) if named else (), named, lag, candidates, 0.005, datasets,
         sum(falls) if named else None, 1.0, 0,
     )  # fmt: skip
 
@@ -47,15 +59,46 @@ def test_where_locked_pushes_are_not_better_predicted_is_said():
 
 
 def test_what_is_printed_names_sizes_and_the_next_command(capsys):
-    show_together(made(4.0, 5.0), SQUARE)
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
+    show_together(made(4.0, 5.0), [dataset], "A B --apart table")
     printed = " ".join(capsys.readouterr().out.split())
     for words in (
         "25 ms late (20 to 30)",
-        "slipmap fit DATASET --effect sensor_latency",
+        "slipmap fit A B --apart table --effect sensor_latency -o with-sensor_latency.npz",
+        "sensor_latency 20.0 0.005 25.0 22.0 not ruled out",
+        "12.0 8.0 others explain more",
+        "6.0 2.0 explains too little",
+        "– – behind others to first order",
         "set 0 (whole)",
         "5.0",
     ):
         assert words in printed
+
+
+def test_a_turned_tracker_is_also_told_where_the_pushes_are():
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
+    poses = np.concatenate([t.object_pose.values[:, :2] for t in dataset.trials])
+    move = np.append(np.array([0.5, -0.2]) - poses.mean(axis=0), 0.0)
+    trials = tuple(
+        dataclasses.replace(
+            t,
+            object_pose=dataclasses.replace(
+                t.object_pose,
+                values=t.object_pose.values + move,
+            ),
+        )
+        for t in dataset.trials
+    )
+    moved = dataclasses.replace(dataset, trials=trials)
+
+    def said(low):
+        numbers = {"x": (1e-3, 0, 2e-3), "y": (-2.5e-3, -3e-3, -2e-3), "angle": (0.004, low, 0.006)}
+        estimates = [ParameterEstimate("tracker_shift", name, "m", *own) for name, own in numbers.items()]
+        return in_the_middle("tracker_shift", estimates, [moved])
+
+    # x is 1 mm + 0.004 * 0.2 m off, y -2.5 mm + 0.004 * 0.5 m.
+    assert "(x 500 mm, y -200 mm), poses lie 1.80 mm, -0.50 mm (x, y) off" in said(0.002)
+    assert said(-0.002) == ""
 
 
 @pytest.mark.parametrize("diagnosis", [made(4.0, -1.0), made(None, None, verdict="undecided")])
@@ -65,16 +108,115 @@ def test_json_is_as_described(diagnosis):
     assert_as_described("diagnose-together", document)
 
 
-def test_options_of_one_dataset_are_refused_for_several_and_the_other_way_round(slipmap, tmp_path):
-    said = slipmap("diagnose", tmp_path / "a", tmp_path / "b", "--quick")
-    assert said.code == 2 and "--quick is for one dataset" in said.err
-    said = slipmap("diagnose", tmp_path / "a", "--apart", "table")
+@pytest.mark.parametrize("falls", [(4.0, -1.0), (None, None)])
+def test_the_page_has_every_candidate_and_dataset(falls):
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=2, heldout=1)
+    verdict = "effect" if falls[0] else "undecided"
+    text = joint_report(made(*falls, verdict=verdict), [dataset, dataset], LIBRARY, "A B")
+    for words in ("tether", "behind others to first order", "set 0 (whole)", "A sentence."):
+        assert words in text
+    named = verdict == "effect"
+    assert ("latency, s" in text) is named and ("25 ms late" in text) is named
+
+
+@pytest.mark.parametrize(
+    ("command", "more", "option"),
+    [
+        ("fit", ["--effect", "table_tilt", "-o", "b.npz"], ["--maps", "m.yaml"]),
+        ("compare", [], ["--maps", "m.yaml"]),
+        ("compare", [], ["--belief", "b.npz"]),
+        ("diagnose", [], ["--maps", "m.yaml"]),
+        ("diagnose", [], ["--quick"]),
+    ],
+)
+def test_options_of_one_dataset_are_refused_for_several_and_the_other_way_round(
+    slipmap, tmp_path, monkeypatch, command, more, option
+):
+    monkeypatch.chdir(tmp_path)
+    said = slipmap(command, "a", "b", *more, *option)
+    assert said.code == 2 and f"{option[0]} is for one dataset" in said.err
+    said = slipmap(command, "a", "--apart", "table", *more)
     assert said.code == 2 and "give two or more" in said.err
+
+
+def written(folder, *names):
+    """Datasets of different pushes, reported 30 ms late."""
+    for seed, name in enumerate(names, start=1):
+        dataset, _ = slipmap_package.simulated_hammer(seed=seed, fit=2, heldout=1)
+        trials = tuple(
+            dataclasses.replace(
+                t, object_pose=dataclasses.replace(t.object_pose, time=t.object_pose.time + 0.03)
+            )
+            for t in dataset.trials
+        )
+        write_dataset(dataclasses.replace(dataset, name=name, trials=trials), folder / name.split("/")[-1])
+    return [folder / name.split("/")[-1] for name in names]
 
 
 def test_a_copy_of_a_dataset_under_another_name_is_refused(slipmap, tmp_path):
     dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=2, heldout=1)
     for name in ("first", "second"):
         write_dataset(dataclasses.replace(dataset, name=name), tmp_path / name)
-    said = slipmap("diagnose", tmp_path / "first", tmp_path / "second")
-    assert said.code == 2 and "first and second contain the same push" in " ".join(said.err.split())
+    for command in (["diagnose"], ["fit", "--effect", "table_tilt", "-o", tmp_path / "b.npz"], ["compare"]):
+        said = slipmap(*command, tmp_path / "first", tmp_path / "second")
+        assert said.code == 2 and "first and second contain the same push" in " ".join(said.err.split())
+
+
+def test_names_that_give_the_same_file_are_refused(slipmap, tmp_path):
+    folders = written(tmp_path, "a b", "a/b")
+    said = slipmap("fit", *folders, "--effect", "table_tilt", "-o", tmp_path / "belief.npz")
+    assert said.code == 2 and "rename one" in said.err
+
+
+def test_fit_and_compare_learn_of_several_datasets(slipmap, tmp_path):
+    folders = written(tmp_path, "first set", "again")
+    lag = ["--effect", "sensor_latency"]
+    options = ["--hypotheses", "2", "-o", tmp_path / "lag.npz", "--json", tmp_path / "fit.json"]
+    said = slipmap("fit", *folders, *lag, *options)
+    assert said.code == 0 and "the tracker is" in said.out
+    document = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    beliefs = [tmp_path / f"lag.{name}.npz" for name in ("first-set", "again")]
+    assert document["beliefs"] == [str(path) for path in beliefs]
+    for path, dataset in zip(beliefs, ("first set", "again"), strict=True):
+        belief = slipmap_package.Belief.load(path)
+        assert belief.dataset == dataset and belief.effects[0].name == "sensor_latency"
+        assert path.with_name(f"{path.stem}.pushes.png").is_file()
+
+    files = ["-o", tmp_path / "page.html", "--json", tmp_path / "compare.json"]
+    said = slipmap("compare", *folders, *lag, *files)
+    assert said.code == 0 and "first set" in said.out and "with sensor_latency" in " ".join(said.out.split())
+    compared = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
+    assert compared["fitted"]["parameters"] == document["parameters"]
+    assert [one["label"] for one in compared["datasets"][1]] == ["without effects", "with sensor_latency"]
+    assert "again" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def compared(dataset, p, label="model", error=0.002):
+    """A comparison whose remaining error depends on the place with a probability p."""
+    pushes = (made_prediction(role="heldout", final_add=error),)
+    own = Pattern("table_place", "place on the table", "motion", "x", 0.02, 0.01, 0.03, p, p, 20)
+    return Comparison(
+        label, dataset, dataset, pushes, {"heldout": totals(pushes)}, None, None, None, (own,), None, 0
+    )
+
+
+def test_what_recurs_in_several_datasets_is_said():
+    found = JointComparison(tuple((compared(*one),) for one in (("A", 0.01), ("B", 0.002), ("C", 0.4))), None)
+    ((pattern, names),) = found.recurring
+    assert names == ("A", "B") and pattern.p_corrected == 0.002
+    errors, recurs = joint_findings(found)
+    assert "mean over 3 datasets (2.0 in A" in errors and "Without effects" not in errors
+    assert "In 2 of 3 datasets (A, B): the error of the motion depends on the place on the table" in recurs
+    one = JointComparison(((compared("A", 0.01),), (compared("B", 0.3),)), None)
+    assert one.recurring == () and "in more than one dataset" in joint_findings(one)[1]
+
+
+def test_where_an_effect_does_not_help_is_said():
+    after = [compared(name, 0.3, "with tether", error) for name, error in (("A", 0.001), ("B", 0.003))]
+    fitted = JointIdentification("for", "Yes.", ("tether",), (), 9.0, 5.0, (), (), 1.0, 0)
+    found = JointComparison(tuple((compared(one.dataset, 0.3), one) for one in after), fitted)
+    (errors, _) = joint_findings(found)
+    assert "the model with tether ends 2.0 mm" in errors and "(1.0 in A to 3.0 in B" in errors
+    assert "the error falls in 1 of 2 datasets, not in B." in errors
+    columns, rows = joint_rows(found)
+    assert columns[2:4] == ["model", "with tether"] and rows[1][2:4] == ["2.0", "3.0"]

@@ -10,7 +10,14 @@ from slipmap.models.effects.library import AnisotropicObject, TableTilt
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
-from slipmap.models.inference.together import JointLikelihood, JointPrior, Taught, Together
+from slipmap.models.inference.together import (
+    JointLikelihood,
+    JointPrior,
+    Taught,
+    Together,
+    _eliminated,
+    _fall,
+)
 
 SETTINGS = PriorSettings(modes=5)
 OWN, SHARED = AnisotropicObject(), TableTilt()
@@ -72,6 +79,7 @@ def test_costs_and_slopes_are_those_of_both_datasets(parts):
         for part, place, own in zip(parts, joint.prior.places, joint.pushes, strict=True)
     ]
     assert equations.cost[0] == pytest.approx(np.concatenate([one.cost[0] for one in alone]))
+    assert equations.push_gradient.sum(axis=0) == pytest.approx(equations.gradient)
     # With a start offset held, the slope along a direction is that of the cost.
     direction = rng.standard_normal((1, joint.prior.size))
     numeric = (cost(z + 1e-5 * direction) - cost(z - 1e-5 * direction)) / 2e-5
@@ -86,6 +94,10 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     effect = Shift()
     together = Together(taught)
     (first,) = together.first_gains([effect], lambda done, total: None)
+    assert first.p_value is None
+    (again,) = together.first_gains([effect], lambda done, total: None, 199, np.random.default_rng(0))
+    # Six and three pushes agree on the shift; two of 512 sign patterns gain as much.
+    assert again.gain == first.gain and again.p_value < 0.03
     fitted = together.fitted([effect], [first.start])
     base = together.fitted((), ())
     assert base.cost == pytest.approx(together.base_cost, rel=1e-2)
@@ -96,6 +108,20 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     # Precisions add up, as maps are not shared; that of the prior comes on top.
     precision = sum(deviation**-2 for _, deviation in alone) + effect.parameters[0].scale ** -2
     assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.02)
+
+
+def test_signs_of_whole_pushes_turn_their_slopes_and_leave_the_prior_aside(parts):
+    part, plain = parts[1], parts[1].prior.plain
+    z = np.full((1, part.prior.size), 0.1)
+    equations = part.linearise(z, np.zeros((1, 3, 3)), np.ones(1), np.ones((1, 3)))
+    own, pull = np.array([plain]), z[0, :plain]
+    signs = np.array([[1.0, -1.0, -1.0], [1.0, -1.0, 1.0], [1.0, -1.0, 1.0]])
+    normal, slopes = _eliminated(equations, pull, own, signs)
+    _, alone = _eliminated(equations, np.zeros(plain), own)
+    assert slopes.shape == (1, 4) and slopes[0, 1] == pytest.approx(alone[0, 0])
+    assert slopes[0, 0] != pytest.approx(alone[0, 0]) and slopes[0, 2] == pytest.approx(-alone[0, 0])
+    assert abs(slopes[0, 3]) != pytest.approx(abs(alone[0, 0]), rel=1e-3)
+    assert _fall(normal, slopes)[1] == pytest.approx(0.5 * alone[0, 0] ** 2 / (normal[0, 0] + 1.0))
 
 
 def test_a_push_near_balance_counts_for_what_it_can_tell(recorded):

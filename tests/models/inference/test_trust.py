@@ -46,16 +46,17 @@ class LinearPushes:
         start_gradient = np.einsum("brj,kbr->bkj", C, r) + (scaled / self.start_sigma).transpose(1, 0, 2)
         coupling = A.transpose(0, 2, 1) @ C
         hessian = (A.transpose(0, 2, 1) @ A - coupling @ gain @ coupling.transpose(0, 2, 1)).sum(axis=0)
-        gradient = np.einsum("bri,kbr->ki", A, r) - np.einsum(
-            "bij,bjl,bkl->ki", coupling, gain, start_gradient
+        by_push = np.einsum("bri,kbr->bki", A, r) - np.einsum(
+            "bij,bjl,bkl->bki", coupling, gain, start_gradient
         )
         K = len(z)
 
         def each(x):
             return np.repeat(x[:, None], K, axis=1)
 
+        hessians = np.repeat(hessian[None], K, axis=0)
         return NormalEquations(
-            cost, np.repeat(hessian[None], K, axis=0), gradient, each(gain), start_gradient, each(coupling)
+            cost, hessians, by_push.sum(axis=0), by_push, each(gain), start_gradient, each(coupling)
         )
 
 

@@ -7,7 +7,12 @@ import pytest
 
 from slipmap.models.effects.library import AnisotropicTable, SensorLatency, TrackerScale
 from slipmap.models.inference.diagnosis import several
-from slipmap.models.inference.diagnosis.several import _between, diagnose_together, named_by_evidence
+from slipmap.models.inference.diagnosis.several import (
+    _between,
+    diagnose_together,
+    fit_together,
+    named_by_evidence,
+)
 from slipmap.models.measurements import DatasetError
 
 EFFECTS = (SensorLatency(), AnisotropicTable(), TrackerScale())
@@ -24,11 +29,32 @@ def late(dataset, latency, name):
     return dataclasses.replace(dataset, trials=trials, name=name)
 
 
-def test_a_lag_that_two_datasets_share_is_named(recorded):
+@pytest.fixture(scope="module")
+def pair(recorded):
     short = dataclasses.replace(recorded.dataset, trials=recorded.dataset.trials[2:])
-    found = diagnose_together(
-        [late(recorded.dataset, 0.03, "first"), late(short, 0.03, "second")], effects=EFFECTS
-    )
+    return [late(recorded.dataset, 0.03, "first"), late(short, 0.03, "second")]
+
+
+@pytest.fixture(scope="module")
+def diagnosed(pair):
+    return diagnose_together(pair, effects=EFFECTS)
+
+
+def given(monkeypatch, datasets, **options):
+    """A fit of a lag and a scale together, without beliefs, and what each belief would have started from."""
+    asked = []
+
+    def learn(dataset, observations, found, **more):
+        asked.append(found)
+        return dataset
+
+    monkeypatch.setattr(several, "learn", learn)
+    return fit_together(datasets, ["sensor_latency", "tracker_scale"], **options), asked
+
+
+def test_a_lag_that_two_datasets_share_is_named(diagnosed):
+    found = diagnosed
+    assert found.p_value == found.candidates[0].p_value < 0.03
     assert found.effect == "sensor_latency" and found.shared
     (latency,) = found.parameters
     assert latency.low < 0.03 < latency.high and latency.high - latency.low < 0.02
@@ -38,13 +64,89 @@ def test_a_lag_that_two_datasets_share_is_named(recorded):
     assert document["effect"] == "sensor_latency" and len(document["candidates"]) == len(EFFECTS)
 
 
-def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
-    def asked(dataset, effects):
-        found = named_by_evidence(dataset, effects, 0, lambda done, total: None)
-        return None if found is None else found.name
+def test_a_fit_gives_the_numbers_of_the_diagnosis_and_a_belief_of_each_object(pair, diagnosed):
+    fitted = fit_together(pair, ["sensor_latency"], hypotheses=2)
+    assert fitted.verdict == "for" and fitted.parameters == diagnosed.parameters
+    assert fitted.to_json()["datasets"] == diagnosed.to_json()["datasets"]
+    assert fitted.fall == diagnosed.fall and fitted.evidence == diagnosed.candidates[0].evidence
+    for learned, dataset in zip(fitted.learned, pair, strict=True):
+        lag = learned.effect_estimates["sensor_latency"]["latency"]
+        assert learned.belief.dataset == dataset.name and lag["low"] < 0.03 < lag["high"]
+        assert len(learned.errors("heldout")) == 4
 
-    assert asked(late(recorded.dataset, 0.03, "late"), EFFECTS) == "sensor_latency"
-    assert asked(recorded.dataset, EFFECTS) is None
+
+def test_a_belief_expects_what_the_other_datasets_tell(pair, monkeypatch):
+    fitted, asked = given(monkeypatch, pair)
+    assert fitted.effects == ("sensor_latency", "tracker_scale") and len(fitted.parameters) == 2
+    both = [one.alone for one in fitted.datasets]
+    for k, start in enumerate(asked):
+        other = both[1 - k][0]
+        deviation = (other.high - other.low) / 3.29
+        prior = SensorLatency().parameters[0].scale
+        # The other dataset's value, and the prior of the effect.
+        precision = deviation**-2 + prior**-2
+        assert start.values[0] == pytest.approx(other.value * deviation**-2 / precision, rel=1e-6)
+        assert start.scales[0] == pytest.approx(precision**-0.5, rel=1e-6)
+
+
+def test_what_datasets_do_not_share_is_not_told_by_others(pair, monkeypatch):
+    fitted, asked = given(monkeypatch, pair, apart=["tracker"])
+    assert fitted.parameters == ()
+    for start, one in zip(asked, fitted.datasets, strict=True):
+        assert start.values == pytest.approx([e.value for e in one.alone], abs=5e-3)
+        assert list(start.scales) == [effect.parameters[0].scale for effect in (EFFECTS[0], EFFECTS[2])]
+
+
+def test_a_whole_locked_object_takes_what_all_others_tell(pair, monkeypatch):
+    four = [dataclasses.replace(pair[0].with_fit_pushes(3), name=str(k)) for k in range(4)]
+    fitted, asked = given(monkeypatch, four)
+    (whole,) = (k for k, one in enumerate(fitted.datasets) if one.whole)
+    others = [start.scales[0] for k, start in enumerate(asked) if k != whole]
+    assert fitted.datasets[whole].alone == () and asked[whole].scales[0] < min(others)
+    assert asked[whole].values[0] == pytest.approx(fitted.parameters[0].value, rel=0.02)
+
+
+def test_an_effect_that_is_not_there_is_not_supported(recorded, monkeypatch):
+    plain = [dataclasses.replace(recorded.dataset, name=name) for name in ("first", "second")]
+    fitted, _ = given(monkeypatch, plain)
+    assert fitted.verdict == "undecided" and "hardly better" in fitted.sentence
+    with pytest.raises(ValueError, match="at least one effect"):
+        fit_together(plain, [])
+
+
+def stretched(dataset, excess):
+    """The same pushes, with the tracker's lengths too large by a share."""
+    scales = np.array([1.0 + excess, 1.0 + excess, 1.0])
+    trials = tuple(
+        dataclasses.replace(
+            t, object_pose=dataclasses.replace(t.object_pose, values=t.object_pose.values * scales)
+        )
+        for t in dataset.trials
+    )
+    return dataclasses.replace(dataset, trials=trials)
+
+
+def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
+    def asked(dataset):
+        found = named_by_evidence(dataset, EFFECTS, 0, lambda done, total: None)
+        return [effect.name for effect in found]
+
+    assert asked(late(recorded.dataset, 0.03, "late")) == ["sensor_latency"]
+    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+    assert sorted(asked(both)) == ["sensor_latency", "tracker_scale"]
+    assert asked(recorded.dataset) == []
+
+
+def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):
+    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+    own = several._Inquiry._judge
+
+    def judge(self, fit, evidence, progress):
+        judged = own(self, fit, evidence, progress)
+        return dataclasses.replace(judged, falls=[20.0]) if len(fit.effects) > 1 else judged
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    assert len(named_by_evidence(both, EFFECTS, 0, lambda done, total: None)) == 1
 
 
 def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_locked(recorded):
@@ -82,12 +184,12 @@ def test_nothing_is_named_behind_an_effect_that_fails_in_one_dataset_but_explain
 
     def judge(self, fit, evidence, progress):
         judged = own(self, fit, evidence, progress)
-        fallen = falls[judged.effect.name]
+        fallen = falls[judged.name]
         return dataclasses.replace(judged, falls=fallen, score=100.0 + sum(fallen))
 
     monkeypatch.setattr(several._Inquiry, "_judge", judge)
     monkeypatch.setattr(several._Inquiry, "_there", lambda self, one: True)
-    monkeypatch.setattr(several, "_EVIDENCE", -np.inf)
+    monkeypatch.setattr(several, "EVIDENCE", -np.inf)
     pair = [late(recorded.dataset, 0.03, "first"), late(recorded.dataset, 0.03, "second")]
 
     undecided = diagnose_together(pair, effects=[SensorLatency(), TrackerScale()])
