@@ -147,7 +147,7 @@ def test_one_push_alone_has_an_uncertain_clock():
     pose = trial.object_pose
     noisy = Channel(pose.time, pose.values + rng.normal(0.0, [1e-3, 1e-3, 3e-3], pose.values.shape))
     check = check_dataset(replace(straight_pushes(1), trials=(replace(trial, object_pose=noisy),)))
-    assert float(finding(check, "clock of the finger").found.split("± ")[1].split(" ms")[0]) > 2.0
+    assert float(finding(check, "clock of the finger").found.split("± ")[1].split(" ms")[0]) > 3.0
 
 
 def test_tracks_that_jump_or_turn_in_degrees_are_wrong():
@@ -167,9 +167,13 @@ def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong()
     """A finger that never touches by its record is not free of contact all the time."""
 
     def elsewhere(trial):
-        wrench = Channel(trial.ft_wrench.time, trial.ft_wrench.values + np.array([0.3, -0.4, 0.0]))
-        tip = Channel(trial.tip_pose.time, trial.tip_pose.values + np.array([0.3, 0.2]))
-        return replace(trial, ft_wrench=wrench, tip_pose=tip)
+        """Most rows are of the push."""
+        moves = {"tip_pose": [0.3, 0.2], "ft_wrench": [0.3, -0.4, 0.0], "object_pose": [0.0, 0.0, 0.0]}
+        channels = {
+            name: Channel(channel.time[40:127], channel.values[40:127] + np.array(moves[name]))
+            for name, channel in trial.channels.items()
+        }
+        return replace(trial, **channels)
 
     assert "(0.300, -0.400) N" in finding(changed(elsewhere), "force at rest").found
 

@@ -8,7 +8,7 @@ import yaml
 from tables import POSE, SETUP, TIME, TIP, written
 
 from slipmap.models.measurements import DatasetError, read_dataset
-from slipmap.models.measurements.importing import guess_setup, import_dataset
+from slipmap.models.measurements.importing import clocks, guess_setup, import_dataset
 
 ROOT = Path(__file__).resolve().parents[4]
 SAYS = """
@@ -54,6 +54,27 @@ def test_the_force_is_turned_only_if_asked(tmp_path):
         (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
         force = trial.ft_wrench.at(1.0)
         assert np.arctan2(force[1], force[0]) == pytest.approx(direction, abs=0.03)
+
+
+@pytest.mark.parametrize("off", [-14, -8, 0, 8, 14])
+def test_a_force_is_aligned_by_its_rise_wherever_it_is_large(tmp_path, monkeypatch, off):
+    """Forces that grow or fall off late in a push mislead the search for when they are large, here by `off`
+    steps of 20 ms."""
+    found = clocks._correlated
+    monkeypatch.setattr(clocks, "_correlated", lambda one, other: np.roll(found(one, other), off))
+    fine = np.arange(0.0, 1.49, 1e-3)
+    touch = TIME[np.argmax(POSE[:, 0] > 0)]
+    force = 4.0 * ((fine > touch) & (fine < 1.2))
+    written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b"], [TIME, POSE, TIP])
+    written(tmp_path / "f.csv", ["t", "fx", "fy"], [fine + 5.0, force, 0.0 * fine])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: p.csv, position: [x, y], angle: theta}\n"
+        "tip_pose: {source: p.csv, position: [a, b]}\nft_wrench: {source: f.csv, force: [fx, fy]}\n"
+    )
+    files = [tmp_path / "p.csv", tmp_path / "f.csv"]
+    dataset = import_dataset(files, tmp_path / "s.yaml", tell=lambda text: None)
+    (said,) = (text for text in dataset.provenance if "s added" in text)
+    assert "by its rise" in said and float(said.split()[1]) == pytest.approx(-5.0, abs=0.012)
 
 
 def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
