@@ -21,7 +21,7 @@ _PREDICTED = 5.0  # pixels from an outline point within which its edge is expect
 _TINY = 1e-4  # m
 _HEIGHT_ERROR = 1.5e-3  # m; on a level top, a height error of this size counts like an edge one pixel off
 _LEAST_SLOPE = 0.05
-_UNLIKE = 0.005  # m; a point with a larger height error does not fit at all
+_UNLIKE = 0.005  # m; a point with a larger height error on flat ground does not fit at all
 _OUTSIDE = 3.0  # pixels beyond the outline
 
 
@@ -300,7 +300,10 @@ def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-u
         read = _read(picture, u, v)
         if not np.isnan(read):
             visible += 1
-            total += min(abs(read - shape.tops[i]) / _UNLIKE, 1.0) ** 2
+            # On a steep wall, as inside a bowl, edges that scatter by a pixel change the height as much.
+            steep = np.hypot(shape.slopes[i, 0], shape.slopes[i, 1])
+            unlike = np.hypot(_UNLIKE, steep * pixel)
+            total += min(abs(read - shape.tops[i]) / unlike, 1.0) ** 2
     number += visible
     for i in range(0, len(shape.points), every):
         x = shape.points[i, 0] + _OUTSIDE * pixel * shape.normals[i, 0]

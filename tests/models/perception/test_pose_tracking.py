@@ -1,9 +1,12 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from slipmap.models.perception import edge_kernels
+from slipmap.models.perception.object_mask import HeightPicture
+from slipmap.models.perception.pinhole_camera import pixel_size
 from slipmap.models.perception.pose_tracking import load_kernels, track
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
@@ -48,6 +51,20 @@ def test_poses_all_over_the_table_within_a_millimetre_and_half_a_degree(scene, l
     assert position < 1e-3
     assert angle < np.deg2rad(0.5)
     assert np.mean(misfit) < 6  # 3 if the covariance were exact
+
+
+def test_height_errors_count_less_on_steep_walls(scene, look):
+    """As inside a bowl: there, edges that scatter by half a pixel change heights by millimetres."""
+    level = look(BLOCK, (0.0, 0.0, 0.0))
+    steep = replace(level, inner_slopes=np.full_like(level.inner_slopes, 2.0))
+    higher = scene.depth(((*BLOCK[0][:4], BLOCK[0][4] + 3e-3),), (0.0, 0.0, 0.0))
+    picture = HeightPicture(level.table.heights(scene.view.checked_depth(higher), scene.view))
+    pose, pixel = level.first_pose[None], pixel_size(scene.view)
+    flat, walls = (
+        edge_kernels.mean_misfits(picture, scene.view.lens, seen.shape, pose, pixel, 1)[0, 0]
+        for seen in (level, steep)
+    )
+    assert flat > 0.15 and walls < 0.5 * flat
 
 
 def test_a_turn_of_90_degrees_between_two_looks_is_found(scene, look):
