@@ -1,6 +1,5 @@
 """Entry point of the console script; Ctrl-C during import ends it quietly."""
 
-import os
 import sys
 
 
@@ -12,10 +11,7 @@ def main() -> None:
         run_command()
     except KeyboardInterrupt:
         sys.stderr.write("slipmap: stopped; nothing half-written is left behind\n")
-        sys.stderr.flush()
-        # Nothing runs yet that must be ended. After a Ctrl-C within `exec`, as when a dataclass is made,
-        # `python -m` would not keep the code of `sys.exit`.
-        os._exit(130)
+        sys.exit(130)
 
 
 if __name__ == "__main__":
