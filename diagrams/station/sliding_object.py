@@ -22,15 +22,13 @@ BODY = "object"  # name of the body and of the model instance's only link
 DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
-# Depth to which every foot sinks in under the load of its cell, m. At the rim of the table light cells carry
-# hundreds of times their weight; on softer feet the object leans until its blocks touch the table.
-SINK = 2e-6
+SINK = 2e-5  # depth to which every foot sinks in under the load of its cell, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _CLEARANCE = 1e-4  # m; between the table and the blocks, which the finger and the table's edge touch
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _MANY_CORNERS = 100  # outlines of blocks with more corners, such as from a scan, are simplified
 _SCAN_ERROR = 3e-4  # m; largest error of that
-_TABLE_STIFFNESS = 1e9  # N/m
+_TABLE_STIFFNESS = 1e8  # N/m
 _DISSIPATION = 20.0  # s/m
 
 # Four points on the diagonals at this distance from the centre (in cell widths) resist spinning like the
