@@ -181,7 +181,7 @@ from slipmap.diagrams.application import command_line
 
 class Deleted:
     def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.NAME)
         time.sleep(0.01)
 
 def work(*_, **__):
@@ -193,10 +193,15 @@ command_line.main()
 """
 
 
-def test_ctrl_c_while_an_object_is_deleted_is_heard():
-    done = subprocess.run(
-        [sys.executable, "-c", LOST], env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50
-    )
+def ignore_ctrl_c() -> None:
+    """As a shell does for commands in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@pytest.mark.parametrize(("name", "begin"), [("SIGINT", hear_ctrl_c), ("SIGTERM", ignore_ctrl_c)])
+def test_a_signal_while_an_object_is_deleted_is_heard(name, begin):
+    command = [sys.executable, "-c", LOST.replace("NAME", name)]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=begin, timeout=50)
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 
