@@ -65,7 +65,7 @@ def predict(
     from slipmap.diagrams.application.reports.tables import show_errors
 
     click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learned from {belief.dataset}\n"))
-    show_errors(pushes, measured, str(dataset))
+    show_errors(pushes, measured, options.typed([dataset]))
     for path in drawn:
         note(f"picture: {path}")
 
