@@ -4,19 +4,25 @@ import errno
 import json
 import math
 import os
+import platform
 import shutil
 import signal
 import tempfile
 import threading
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-_PART = ".slipmap."
-"""How temporary names begin; the number of their process follows."""
+PART = f".slipmap.{zlib.crc32(platform.node().encode(errors='replace')):08x}."
+"""How temporary names begin on this host; the number of their process follows.
+
+Hosts that share a folder leave each other's files alone. Containers that share a host name must not share a
+folder: each takes the others' processes for dead.
+"""
 
 _WAITING: ContextVar[dict[Path, Path] | None] = ContextVar("files that appear together", default=None)
 """Final file: its temporary name."""
@@ -92,18 +98,24 @@ def _too_large(size: int, largest: int) -> UnreadableFile:
 
 def _part_of(file: Path, number: str = "") -> Path:
     """A temporary name beside a file, whose own name can be as long as the disk allows."""
-    return file.with_name(f"{_PART}{os.getpid()}.{number}{file.name[-40:]}")
+    return file.with_name(f"{PART}{os.getpid()}.{number}{file.name[-40:]}")
 
 
 def _sweep(folder: Path) -> None:
-    """Remove temporary files and folders that killed processes left."""
-    for part in folder.glob(f"{_PART}*"):
-        process = part.name.removeprefix(_PART).partition(".")[0]
-        if process.isdigit() and not _runs(int(process)):
-            if part.is_dir():
-                shutil.rmtree(part, ignore_errors=True)
-            else:
-                part.unlink(missing_ok=True)
+    """Remove temporary files and folders that killed processes of this host left, as far as permitted."""
+    for part in folder.glob(f"{PART}*"):
+        process = part.name.removeprefix(PART).partition(".")[0]
+        if process.isdecimal() and not _runs(int(process)):
+            remove_part(part)
+
+
+def remove_part(part: Path) -> None:
+    """Remove a temporary file or folder; one that may not be removed stays."""
+    with suppress(OSError):
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            part.unlink()
 
 
 def _runs(process: int) -> bool:
@@ -145,7 +157,7 @@ def replaced_folder(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
-    with tempfile.TemporaryDirectory(prefix=f"{_PART}{os.getpid()}.", dir=path.parent) as scratch:
+    with tempfile.TemporaryDirectory(prefix=f"{PART}{os.getpid()}.", dir=path.parent) as scratch:
         fresh, old = Path(scratch) / "new", Path(scratch) / "old"
         yield fresh
         if path.exists():

@@ -125,7 +125,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     if diagnosis.verdict == "undecided":
         names = names[1:]
     asked = best.to_json() | {"separates": names, "separation": separation}
-    return asked | {"sentence": _sentence(asked, rivals, predictions, question.good_for)}
+    return asked | {"sentence": _sentence(asked, dataset.grid, rivals, predictions, question.good_for)}
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
@@ -487,7 +487,7 @@ def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) 
     trial = observation.trial
     return asked | {
         "sentence": f"Repeat push {trial}, which the model predicts worst"
-        f" ({norms[worst]:.0f} standard deviations off), {what}. {_how_to(asked)}"
+        f" ({norms[worst]:.0f} standard deviations off), {what}. {_how_to(asked, dataset.grid)}"
         " If the error changes, it depends on what you changed; if not, it does not."
     }
 
@@ -536,7 +536,11 @@ def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instructi
 
 
 def _sentence(
-    asked: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
+    asked: dict[str, Any],
+    grid: CellGrid,
+    rivals: Sequence[Rival],
+    predictions: Sequence[Predictions],
+    why: str,
 ) -> str:
     parts = []
     for rival, predicted in zip(rivals, predictions, strict=True):
@@ -546,18 +550,21 @@ def _sentence(
         text = f"{1e3 * np.hypot(x, y):.1f} mm, {np.degrees(angle):+.1f}°"
         parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else "") + f" ({rival.name})")
     return (
-        f"{_how_to(asked)} This push {why}: by {asked['separation']:.1f} standard deviations of the"
+        f"{_how_to(asked, grid)} This push {why}: by {asked['separation']:.1f} standard deviations of the"
         f" error. Predicted displacement, rotation and mean force: {'; '.join(parts)}."
     )
 
 
-def _how_to(asked: dict[str, Any]) -> str:
+def _how_to(asked: dict[str, Any], grid: CellGrid) -> str:
     """The instruction in one sentence."""
     x, y, angle = asked["pose"]
+    begin = (np.array(asked["tip_start"]) - [x, y]) @ turn(angle)
+    inside = any(shapely.Polygon(hole).contains(shapely.Point(begin)) for hole in grid.holes)
+    finger = "lower the finger into the opening first, then move it" if inside else "move the finger"
     stop = f", pause for {asked['dwell']:.1g} s half-way" if asked["dwell"] else ""
     return (
         f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°;"
-        f" move the finger from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"
+        f" {finger} from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"
         f" ({1e3 * asked['tip_end'][0]:.0f}, {1e3 * asked['tip_end'][1]:.0f}) mm"
         f" at {1e3 * asked['speed']:.0f} mm/s{stop},"
         " and stop abruptly."

@@ -234,8 +234,12 @@ def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
 def _hear_again(lost: "sys.UnraisableHookArgs") -> None:
     """Repeat a Ctrl-C that came while an object was deleted, or in a callback from C, where it is lost."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
+        # Which signal it was is not known; SIGINT may be ignored, as in the background of a shell.
+        heard = signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+        number = signal.SIGTERM if heard else signal.SIGINT
         main_thread = threading.main_thread().ident
-        again = threading.Timer(0.02, signal.pthread_kill, (main_thread, signal.SIGINT))  # in here it is lost
+        # Raised in here, it would be lost again.
+        again = threading.Timer(0.02, signal.pthread_kill, (main_thread, number))
         again.daemon = True
         again.start()
     else:
@@ -244,7 +248,6 @@ def _hear_again(lost: "sys.UnraisableHookArgs") -> None:
 
 def main() -> None:
     """Entry point of the console script."""
-    sys.unraisablehook = _hear_again
     # The matrices are small and the rollouts have their own threads: with another program on the same
     # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -253,6 +256,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = _hear_again
     sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
     code = SUCCESS
 
@@ -263,7 +267,7 @@ def main() -> None:
             sys.stderr.flush()
             os._exit(code)
 
-    atexit.register(leave)  # the first to be registered is the last to be called
+    atexit.register(leave)  # called after those that the command registers
     code = run(sys.argv[1:])
     # The work is over: a signal while Python shuts down would only spoil the exit code.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -220,7 +220,10 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
 
 
 def _jumps(dataset: PushDataset) -> list[Finding]:
-    """A finding if more than a quarter of the tracks jump to another place, or turn like degrees."""
+    """A finding if more than a quarter of the tracks jump to another place, or turn like degrees.
+
+    An object that was spun and let go may turn like that, so only pushes with a finger are wrong.
+    """
     found = []
     for what, told, advice in (
         ("jumps", lambda pose: sound_rows(pose.time, pose.values)[2], "did the tracker's frame jump?"),
@@ -230,10 +233,14 @@ def _jumps(dataset: PushDataset) -> list[Finding]:
             "angles must be in rad; were these degrees?",
         ),
     ):
-        texts = [text for trial in dataset.trials if (text := told(trial.object_pose))]
-        if len(texts) > _WRONG_SHARE * len(dataset.trials):
-            text = f"{texts[0]}; in {len(texts)} of {len(dataset.trials)} pushes"
-            found.append(Finding(what, text, "wrong", advice))
+        pushed = [trial for trial in dataset.trials if what == "jumps" or trial.has_finger]
+        verdicts: tuple[tuple[Verdict, Sequence[Trial]], ...] = (("wrong", pushed), ("note", dataset.trials))
+        for verdict, trials in verdicts:
+            texts = [text for trial in trials if (text := told(trial.object_pose))]
+            if len(texts) > _WRONG_SHARE * len(trials):
+                text = f"{texts[0]}; in {len(texts)} of {len(trials)} pushes"
+                found.append(Finding(what, text, verdict, advice))
+                break
     return found
 
 

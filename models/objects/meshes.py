@@ -42,6 +42,8 @@ _UNITS = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "m": 1.0}
 _LINKS = (".urdf", ".sdf")
 _LARGEST_LINK = 16 * 2**20  # bytes of a URDF or SDF
 _GAPS = (0.002, 0.005, 0.01, 0.02)  # of the silhouette's extent; wider gaps part two objects
+_MOST_PARTS = 200  # of a convex decomposition; the time to close its gaps grows with the square
+_BOXES = 5  # parts that an error lists
 _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
 _FINEST = 1e-5  # of the silhouette's extent; a point nearer to the line between corners is not a corner
@@ -67,7 +69,8 @@ def cells_from_mesh(
 
     Args:
         mesh: a mesh, or the path of a file that trimesh can load, or of a URDF or SDF with one link that has
-            geometry; the parts of a scene or link are merged, and gaps of up to 2 % of its size closed.
+            geometry; the parts of a scene or link are merged, and gaps of up to 2 % of its size closed,
+            with slots that run into them.
         count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
         width: side of a cell, m.
         up: (3,) direction away from the table, in the mesh frame; by default that of the file's format.
@@ -191,7 +194,8 @@ def _linked(path: Path) -> trimesh.Trimesh:
         ValueError: it is no XML, has several such links or none, or a geometry that cannot be read.
     """
     text = read_bounded(path, _LARGEST_LINK)
-    if b"<!ENTITY" in text or b"<!DOCTYPE" in text:
+    plain = text.replace(b"\0", b"")  # such as UTF-16 as ASCII
+    if b"<!ENTITY" in plain or b"<!DOCTYPE" in plain:
         raise ValueError("declares XML entities, which are never expanded; remove them")
     try:
         root = Xml.fromstring(text)
@@ -215,6 +219,8 @@ def _shape(shape: Xml.Element, path: Path) -> trimesh.Trimesh:
     kind = kinds[0].tag if kinds else "nothing"
     made = kinds[0] if kinds else shape
     if kind == "mesh":
+        if made.find("submesh") is not None:
+            raise ValueError("a submesh is not read; export it as its own file")
         name = made.get("filename") or made.findtext("uri") or ""
         file = _beside(path, name.strip())
         if file.suffix.lower() in _LINKS:
@@ -237,7 +243,7 @@ def _shape(shape: Xml.Element, path: Path) -> trimesh.Trimesh:
     elif pose is not None:
         if pose.get("relative_to") or pose.get("degrees", "false") != "false":
             raise ValueError("a pose is relative_to another frame or in degrees; give it in the link's, rad")
-        place, angles = np.split(_numbers(shape, "pose", 6), 2)
+        place, angles = np.split(_numbers(shape, "pose", 6, "0 0 0 0 0 0"), 2)
     else:
         place = angles = np.zeros(3)
     mesh.vertices = Rotation.from_euler("xyz", angles).apply(mesh.vertices) + place
@@ -246,13 +252,13 @@ def _shape(shape: Xml.Element, path: Path) -> trimesh.Trimesh:
 
 def _numbers(element: Xml.Element, name: str, count: int, default: str = "") -> FloatArray:
     """(count,) finite numbers of an attribute (URDF) or an element (SDF)."""
-    text = element.get(name) or element.findtext(name) or default
+    text = (element.get(name) or element.findtext(name) or "").strip() or default
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{element.tag}: {name} needs {count} numbers, got {text.strip()[:80]!r}")
+        raise ValueError(f"{element.tag}: {name} needs {count} numbers, got {text[:80]!r}")
     return numbers
 
 
@@ -260,19 +266,22 @@ def _beside(path: Path, name: str) -> Path:
     """The file that a URDF or SDF names, in its folder or package.
 
     Raises:
-        ValueError: it lies elsewhere.
+        ValueError: it lies elsewhere, or its links lead in a circle.
     """
     scheme, split, rest = name.partition("://")
     folders = path.resolve().parents
     if split and scheme in ("package", "model"):
         package, _, rest = rest.partition("/")
-        inside = next((folder for folder in folders if folder.name == package), None)
+        inside = next((folder for folder in folders if package and folder.name == package), None)
         base = inside
     else:
         marks = ("package.xml", "model.config")
         inside = next((f for f in folders if any((f / mark).is_file() for mark in marks)), folders[0])
         base, rest = folders[0], name
-    file = None if base is None or "\0" in name or not rest else (base / rest).resolve()
+    try:
+        file = None if base is None or "\0" in name or not rest else (base / rest).resolve()
+    except (OSError, RuntimeError) as error:
+        raise ValueError(f"{name[:200]!r}: there is no such file; check the name") from error
     if (split and scheme not in ("package", "model")) or file is None or not file.is_relative_to(str(inside)):
         raise ValueError(f"{name[:200]!r} is not in the file's folder or package; put the mesh there")
     return file
@@ -319,13 +328,14 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     parts = [p for p in getattr(union, "geoms", [union]) if p.area > _SPECK * union.area]
     if len(parts) == 0:
         raise ValueError(f"{source}: the silhouette along `up` has no area")
-    if len(parts) > 1 and (joined := _joined(parts, extent)) is not None:
+    if 1 < len(parts) <= _MOST_PARTS and (joined := _joined(parts, extent)) is not None:
         outline, width = joined
         gaps = f"gaps of up to {1e3 * width:.2g} mm between {len(parts)} parts closed"
-        warnings.warn(f"{source}: {gaps}", stacklevel=3)
+        warnings.warn(f"{source}: {gaps}, with slots as narrow that run into them", stacklevel=3)
         parts = [outline]
     if len(parts) > 1:
-        boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts)
+        boxes = ", ".join(str(np.round(p.bounds, 4).tolist()) for p in parts[:_BOXES])
+        boxes += ", …" if len(parts) > _BOXES else ""
         raise ValueError(
             f"{source}: the silhouette is in {len(parts)} separate parts (x_min, y_min, x_max, y_max in "
             f"m: {boxes}); an object must be one connected piece"
@@ -336,7 +346,10 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
 
 
 def _joined(parts: Sequence[Polygon], extent: float) -> tuple[Polygon, float] | None:
-    """The parts of a convex decomposition in one piece, and the gaps closed, m; None if they are wider."""
+    """The parts of a convex decomposition in one piece, and the gaps closed, m; None if they are wider.
+
+    Slots that are as narrow and run into such a gap close with it.
+    """
     whole = shapely.union_all(parts)
     for width in extent * np.array(_GAPS):
         closed = whole.buffer(0.5 * width, join_style="mitre").buffer(-0.5 * width, join_style="mitre")

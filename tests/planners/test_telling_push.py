@@ -21,6 +21,7 @@ from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners import telling_push
 from slipmap.planners.action_selection import choose_push
 from slipmap.planners.exploration import NoReachablePush, candidate_pushes
 from slipmap.planners.telling_push import next_push, push_of, rivals_of, robots_question
@@ -316,3 +317,13 @@ def test_a_robot_asks_what_its_diagnosis_left_open(world):
     )
     for verdict in ("adequate", "unknown"):
         assert robots_question(world.diagnosis(verdict, []), world.dataset) is None
+
+
+def test_a_finger_that_begins_in_an_opening_is_lowered_into_it():
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    ring = cells_from_polygon(0.1 * square + [0.05, 0.0], [0.04 * square + [0.1, 0.0]], count=40)
+    push = {"pose": [0.3, 0.2, 0.5 * np.pi], "tip_end": [0.3, 0.5], "speed": 0.02, "dwell": 0.0}
+    said = telling_push._how_to(push | {"tip_start": [0.3, 0.3]}, ring)
+    assert "lower the finger into the opening first, then move it from (300, 300) mm" in said
+    said = telling_push._how_to(push | {"tip_start": [0.4, 0.0]}, ring)
+    assert "opening" not in said and "move the finger from (400, 0) mm" in said

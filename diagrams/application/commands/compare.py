@@ -65,7 +65,7 @@ def predict(
     from slipmap.diagrams.application.reports.tables import show_errors
 
     click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learned from {belief.dataset}\n"))
-    show_errors(pushes, measured, str(dataset))
+    show_errors(pushes, measured, options.typed([dataset]))
     for path in drawn:
         note(f"picture: {path}")
 
@@ -134,13 +134,13 @@ def compare(
         from slipmap.diagrams.application.reports.comparison_report import comparison_report
 
         with progress.step("drawing"):
-            text = comparison_report(results, measured, str(dataset))
+            text = comparison_report(results, measured, options.typed([dataset]))
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
     with together():
         write_text(output, text)
         write_json(json_file, both)
-    show(results, str(dataset))
+    show(results, options.typed([dataset]))
     note(f"report: {output}")
 
 
@@ -264,7 +264,7 @@ def diagnose(
         return
     options.refuse_apart(apart)
     (dataset,) = datasets
-    where = str(dataset)
+    where = options.typed([dataset])
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress, maps)
         prepare_kernels()

@@ -58,13 +58,14 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         with together():
             drawn = keep(result, dataset, belief, None, progress, truth)
             write_json(json_file, {**result.to_json(), "truth": comparison})
-    show(result, dataset, str(place))
+    show(result, dataset, options.typed([place]))
     _show_comparison(result, comparison)
     note(f"pushes: {place}")
     tell_files(belief, drawn)
     note(
         f"Next: look at the pictures, or learn from fewer pushes with"
-        f" `slipmap identify {place} -o {folder / 'fewer.npz'} --fit-pushes 2`."
+        f" `slipmap identify {options.typed([place])} -o {options.typed([folder / 'fewer.npz'])}"
+        " --fit-pushes 2`."
     )
 
 

@@ -26,7 +26,7 @@ def example(folder: Path) -> None:
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.reading import DESCRIPTION_FILE
 
-    following = f"`slipmap identify {folder} -o belief.npz`"
+    following = f"`slipmap identify {options.typed([folder])} -o belief.npz`"
     if (folder / DESCRIPTION_FILE).exists():
         raise BadInput(f"{folder}: holds pushes already; continue with {following}, or name another folder")
     check_folder(folder.absolute().parent, folder)

@@ -105,8 +105,8 @@ def explore(
             scenario, _, recorded = resumed(after)
             if not pushes + checks:
                 raise BadInput(
-                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {after / PUSHES}` learns from the"
-                    " recorded ones"
+                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {options.typed([after / PUSHES])}`"
+                    " learns from the recorded ones"
                 )
             before = recorded.all_to_learn_from()
             pushes += len(before.trials)

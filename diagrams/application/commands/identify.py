@@ -89,7 +89,7 @@ def identify(
         with together():
             drawn = keep(result, measured, output, pictures, progress)
             write_json(json_file, result.to_json())
-    show(result, measured, str(dataset))
+    show(result, measured, options.typed([dataset]))
     _tell_findings(measured, dataset)
     tell_files(output, drawn)
 
@@ -100,7 +100,7 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
 
     found = check_dataset(dataset)
     wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
-    more = f"; `slipmap check {where}` says more"
+    more = f"; `slipmap check {options.typed([where])}` says more"
     note(f"check: wrong in the recording: {', '.join(wrong)}{more}" if wrong else "check: recording is sound")
     note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes to add")
 
@@ -162,7 +162,7 @@ def fit(
         with together():
             drawn = keep(result, measured, output, pictures, progress)
             write_json(json_file, result.to_json())
-    show(result, measured, str(dataset))
+    show(result, measured, options.typed([dataset]))
     show_effects(result)
     _show_gain(result)
     tell_files(output, drawn)

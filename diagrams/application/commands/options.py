@@ -260,9 +260,9 @@ def refuse_apart(apart: Sequence[str]) -> None:
         raise BadInput("--apart says what several datasets do not share; give two or more")
 
 
-def typed(paths: Sequence[Path], apart: Sequence[str]) -> str:
+def typed(paths: Sequence[Path], apart: Sequence[str] = ()) -> str:
     """Datasets, and what they do not share, as a command takes them."""
-    return " ".join([*map(str, paths), *(f"--apart {shlex.quote(owner)}" for owner in apart)])
+    return shlex.join([*map(str, paths), *(word for owner in apart for word in ("--apart", owner))])
 
 
 # Parameters that name outputs although their type does not say so.

@@ -126,7 +126,7 @@ def replay(
     with together():
         with Progress() as progress:
             written = cell_run.leave(identification, dataset, folder, progress)
-        show(identification, dataset, str(folder / "pushes"))
+        show(identification, dataset, options.typed([folder / "pushes"]))
         lag = _shown_lag(dataset)
         write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)

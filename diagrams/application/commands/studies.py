@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import shutil
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -26,7 +25,7 @@ from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
-from slipmap.models.files import BadInput, together, write_json, write_text
+from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
 from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
@@ -337,8 +336,8 @@ def _stop_workers(folder: Path) -> None:
         worker.terminate()
     for worker in workers:
         worker.join()
-        for part in folder.glob(f".{worker.pid}.*"):
-            shutil.rmtree(part) if part.is_dir() else part.unlink()
+        for part in folder.glob(f"{PART}{worker.pid}.*"):
+            remove_part(part)
 
 
 def _run(case: _Case) -> str:

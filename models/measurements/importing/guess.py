@@ -98,7 +98,8 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     up = _up(pose)
     for name, one in (("object_pose", pose), ("tip_pose", finger), ("ft_wrench", force)):
         lines += _entry(name, one, several=len(patterns) > 1)
-        if up != "z" and one is not None and name != "ft_wrench" and one.file == pose.file:
+        turned = up != "z" and one is not None and one.file == pose.file and len(one.columns) == 3
+        if turned and name != "ft_wrench":
             lines.append(f"  up: {up}  # the object's {up} hardly changes")
     return "\n".join(lines) + "\n"
 

@@ -261,3 +261,11 @@ def test_a_real_interrupt_ends_with_130(tmp_path, number):
     assert rest.splitlines()[-1].startswith("slipmap: stopped")
     assert not (tmp_path / "demo" / "belief.npz").exists()
     assert all(name.startswith("demo/pushes/") for name in files_in(tmp_path))
+
+
+def test_a_suggested_command_quotes_its_paths(slipmap, tmp_path):
+    folder = tmp_path / "two words"
+    folder.mkdir()
+    (folder / "dataset.yaml").touch()
+    said = slipmap("example", "-o", folder)
+    assert said.code == 2 and f"`slipmap identify '{folder}' -o belief.npz`" in " ".join(said.err.split())

@@ -3,6 +3,7 @@ what a command leaves when it is stopped while it writes."""
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -16,7 +17,7 @@ from slipmap.diagrams.application import terminal
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
-from slipmap.models.files import BadInput, together, write_json, write_text
+from slipmap.models.files import PART, BadInput, together, write_json, write_text
 
 HOLDS = """
 import sys
@@ -60,8 +61,9 @@ def test_results_appear_together_or_not_at_all(tmp_path):
 def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     gone = subprocess.Popen(["true"])
     gone.wait()
-    left = [f".slipmap.{gone.pid}.0.belief.json", f".slipmap.{gone.pid}.abcd"]
-    kept = [f".slipmap.{os.getpid()}.9.other.json", f".{gone.pid}.belief.json", ".slipmap.mine"]
+    left = [f"{PART}{gone.pid}.0.belief.json", f"{PART}{gone.pid}.abcd"]
+    kept = [f"{PART}{os.getpid()}.9.other.json", f".{gone.pid}.belief.json", ".slipmap.mine"]
+    kept += [f"{PART}².json", f".slipmap.{gone.pid}.yaml", f".slipmap.00000000.{gone.pid}.other_host"]
     for name in (left[0], *kept):
         (tmp_path / name).touch()
     (tmp_path / left[1]).mkdir()
@@ -71,6 +73,23 @@ def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     with together():
         write_json(tmp_path / "belief.json", {})
     assert files_in(tmp_path) == sorted([*kept, "belief.json"])
+
+
+def test_a_part_that_may_not_be_removed_does_not_cost_the_results(tmp_path, monkeypatch):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    part = tmp_path / f"{PART}{gone.pid}.0.belief.json"
+    part.touch()
+    unlink = type(part).unlink
+
+    def refused(path, *_, **__) -> None:
+        if path == part:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+        unlink(path, missing_ok=True)
+
+    monkeypatch.setattr(type(part), "unlink", refused)
+    write_json(tmp_path / "belief.json", {})
+    assert (tmp_path / "belief.json").read_text() == "{}\n" and part.exists()
 
 
 def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeypatch):
@@ -162,7 +181,7 @@ from slipmap.diagrams.application import command_line
 
 class Deleted:
     def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.NAME)
         time.sleep(0.01)
 
 def work(*_, **__):
@@ -174,10 +193,15 @@ command_line.main()
 """
 
 
-def test_ctrl_c_while_an_object_is_deleted_is_heard():
-    done = subprocess.run(
-        [sys.executable, "-c", LOST], env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50
-    )
+def ignore_ctrl_c() -> None:
+    """As a shell does for commands in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@pytest.mark.parametrize(("name", "begin"), [("SIGINT", hear_ctrl_c), ("SIGTERM", ignore_ctrl_c)])
+def test_a_signal_while_an_object_is_deleted_is_heard(name, begin):
+    command = [sys.executable, "-c", LOST.replace("NAME", name)]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=begin, timeout=50)
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 

@@ -162,6 +162,14 @@ def test_tracks_that_jump_or_turn_in_degrees_are_wrong():
     found = finding(changed(posed(degrees)), "angles")
     assert found.verdict == "wrong" and "were these degrees?" in found.advice
 
+    def spun(trial):
+        return posed(degrees)(tipped(lambda tip: tip + 100.0)(trial))
+
+    assert finding(changed(spun), "angles").verdict == "note"
+    dataset = straight_pushes(8)
+    mixed = [spun(one) if number % 2 else one for number, one in enumerate(dataset.trials)]
+    assert finding(check_dataset(replace(dataset, trials=tuple(mixed))), "angles").verdict == "note"
+
 
 def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong():
     """A finger that never touches by its record is not free of contact all the time."""

@@ -65,8 +65,10 @@ def test_parts_are_turned_about_fixed_axes(package):
         ({"mesh": "/etc/passwd"}, "is not in the file's folder or package"),
         ({"mesh": "package://tools/../outside.stl"}, "is not in the file's folder or package"),
         ({"mesh": "package://other/head.stl"}, "is not in the file's folder or package"),
+        ({"mesh": "package:///etc/passwd"}, "is not in the file's folder or package"),
         ({"mesh": "file:///etc/head.stl"}, "is not in the file's folder or package"),
         ({"mesh": "../meshes/none.stl"}, "no such file"),
+        ({"mesh": "../meshes/circle.stl"}, "no such file"),
         ({"mesh": "a.urdf"}, "is no mesh"),
         ({"mesh": "../meshes/head.stl", "turn": "nan"}, "rpy needs 3 numbers"),
         ({"mesh": "x", "more": "<link name='b'><visual><geometry/></visual></link>"}, "found hammer, b"),
@@ -74,14 +76,31 @@ def test_parts_are_turned_about_fixed_axes(package):
     ],
 )
 def test_links_that_are_refused(package, places, message):
+    (package / "meshes" / "circle.stl").symlink_to("circle.stl")
     with pytest.raises(ValueError, match=message):
         cells_from_mesh(written(package, URDF, "a.urdf", **places), count=40)
 
 
-def test_entities_do_not_explode(package):
+@pytest.mark.parametrize("text", ["<pose/>", "<pose> </pose>", "<submesh><name>a</name></submesh>"])
+def test_an_empty_pose_is_none_and_a_submesh_is_refused(package, text):
+    pose = "pose" in text
+    mesh = f"<mesh><uri>../meshes/head.stl</uri>{'' if pose else text}</mesh>"
+    shape = f"<visual name='a'>{text if pose else ''}<geometry>{mesh}</geometry></visual>"
+    path = written(package, f"<sdf><model><link name='a'>{shape}</link></model></sdf>", "a.sdf")
+    if pose:
+        assert upright_mesh(path).extents == pytest.approx([80, 30, 40])
+    else:
+        with pytest.raises(ValueError, match="a submesh is not read"):
+            upright_mesh(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_entities_do_not_explode(package, encoding):
     laughs = '<!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;&b;&b;">]><robot>&c;</robot>'
     with pytest.raises(ValueError, match="never expanded"):
-        cells_from_mesh(written(package, laughs, "a.urdf"), count=40)
+        path = package / "a.urdf"
+        path.write_text(laughs, encoding=encoding)
+        cells_from_mesh(path, count=40)
 
 
 def test_gaps_of_a_decomposition_are_closed(tmp_path):
@@ -104,3 +123,10 @@ def test_gaps_of_a_decomposition_are_closed(tmp_path):
     trimesh.util.concatenate(parts).export(tmp_path / "apart.obj")
     with pytest.raises(ValueError, match="3 separate parts"):
         cells_from_mesh(tmp_path / "apart.obj", count=60)
+
+
+def test_many_specks_are_refused_with_a_few_of_them():
+    specks = trimesh.creation.box((1e-3, 1e-3, 1e-3))
+    many = [specks.copy().apply_translation([2e-3 * k, 0, 0]) for k in range(201)]
+    with pytest.raises(ValueError, match=r"201 separate parts \(.*?(\[[^\]]*\], ){5}…\)"):
+        cells_from_mesh(trimesh.util.concatenate(many), count=40)

@@ -34,7 +34,7 @@ from slipmap.diagrams.application.studies.blind.secret_effects import (
     exact,
 )
 from slipmap.diagrams.application.studies.blind.world import Motion, World
-from slipmap.models.files import replaced_file
+from slipmap.models.files import PART, replaced_file
 from slipmap.models.geometry import placed
 
 _RATE = 100.0  # Hz
@@ -239,7 +239,7 @@ def _description(name: str, thing: SlidingObject, roles: list[str]) -> dict[str,
 
 
 def _write(folder: Path, description: dict[str, Any], trials: list[dict[str, Any]]) -> None:
-    part = folder.with_name(f".{os.getpid()}.{folder.name}")
+    part = folder.with_name(f"{PART}{os.getpid()}.{folder.name}")
     (part / "trials").mkdir(parents=True)
     try:
         for entry, trial in zip(description["trials"], trials, strict=True):

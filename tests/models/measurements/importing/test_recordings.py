@@ -118,6 +118,17 @@ def test_a_finger_that_moves_straight_says_nothing_of_up(tmp_path):
     assert said["object_pose"]["up"] == said["tip_pose"]["up"] == "y"
 
 
+def test_a_finger_in_the_plane_has_no_axis_up(tmp_path):
+    names = ["t", "block_z", "block_x", "block_y", "block_yaw", "tip_x", "tip_y"]
+    plane, height = POSE[:, :1] * [1.0, 0.3], 0.03 + 0.0 * TIME
+    file = written(tmp_path / "p.csv", names, [TIME, plane, height, POSE[:, 2], TIP])
+    said = yaml.safe_load(guess_setup(file))
+    assert said["object_pose"]["up"] == "y"
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(said | yaml.safe_load(SETUP)))
+    (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
+
+
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like an object's pose"):
