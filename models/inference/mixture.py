@@ -133,7 +133,7 @@ def explain(
         Explanations with their shares, the largest first; shares sum to one.
 
     Raises:
-        RolloutError: not even the plain law could be fitted.
+        RolloutError: not even the plain law could be fitted, or none of the chosen ones to all pushes.
     """
     if len(observations) <= 2 * _COMPARED:
         return _compared(dataset, observations, settings, progress, found, plain_only=plain_only)
@@ -147,8 +147,14 @@ def explain(
     every = []
     for place, one in enumerate(chosen):
         prior, own = one.likelihood.prior, part_of(later, place, len(chosen))
-        ladder = fit_with_trust(prior, observations, dataset.noise, one.best.z, own, near=one.ladder)
+        try:
+            ladder = fit_with_trust(prior, observations, dataset.noise, one.best.z, own, near=one.ladder)
+        except (RolloutError, np.linalg.LinAlgError):
+            if not every and one is chosen[-1]:
+                raise
+            continue
         every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
+    progress(1, 1)
     return shared_out(every)
 
 

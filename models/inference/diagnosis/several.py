@@ -191,7 +191,7 @@ def named_by_evidence(
         progress: called with the numbers of parts done and of all parts.
 
     Returns:
-        None, one or two effects, the first first.
+        One effect, or two, the first first; empty if none is named.
     """
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
     found = inquiry.run(0)
@@ -354,9 +354,11 @@ class _Inquiry:
         second = _far_ahead(evidence) if evidence else None
         if second is None:
             return None
-        judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
-        helps = judged.fall > self.judged[name].fall + _RIVAL and self._there(judged)
-        return second if helps else None
+        with suppress(RolloutError, np.linalg.LinAlgError):
+            judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
+            if judged.fall > self.judged[name].fall + _RIVAL and self._there(judged):
+                return second
+        return None
 
     def learned_with_all(self, hypotheses: int) -> JointIdentification:
         """Fit all effects at once, judge them, and learn a belief of each object; `seconds` stays 0.
