@@ -324,6 +324,7 @@ def mixed_belief(
     used = (*given, *of_laws)
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     likelihood = every[0].likelihood
+    chosen_on = {"laws_chosen_on": _COMPARED} if len(likelihood.observations) > 2 * _COMPARED else {}
     own = likelihood.prior.slider
     slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, used, own.table)
     names = ("mass", "mu", "mu_finger", "effects")
@@ -338,6 +339,7 @@ def mixed_belief(
         trials=[observation.trial for observation in likelihood.observations],
         settings={
             **trusted(every[0].ladder),
+            **chosen_on,
             "friction_laws": _by([one.law for one, _ in kept], [share for _, share in kept]),
             "structures": _by([one.structure for one, _ in kept], [share for _, share in kept]),
         },

@@ -262,7 +262,8 @@ def refuse_apart(apart: Sequence[str]) -> None:
 
 def typed(paths: Sequence[Path], apart: Sequence[str]) -> str:
     """Datasets, and what they do not share, as a command takes them."""
-    return " ".join([*map(str, paths), *(f"--apart {shlex.quote(owner)}" for owner in apart)])
+    named = [shlex.quote(str(path)) for path in paths]
+    return " ".join([*named, *(f"--apart {shlex.quote(owner)}" for owner in apart)])
 
 
 # Parameters that name outputs although their type does not say so.
