@@ -144,7 +144,7 @@ def explain(
     def later(done: int, total: int) -> None:
         progress(total + 2 * done, 3 * total)
 
-    every = []
+    every: list[Explanation] = []
     for place, one in enumerate(chosen):
         prior, own = one.likelihood.prior, part_of(later, place, len(chosen))
         try:
