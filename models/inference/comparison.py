@@ -279,7 +279,7 @@ def compare_together(
         progress: called with (stage, done, total).
 
     Raises:
-        DatasetError, EffectError, ValueError: as `fit_together`.
+        DatasetError, EffectError, RolloutError, ValueError: as `fit_together`.
 
     Example:
         >>> import dataclasses

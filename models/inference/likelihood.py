@@ -288,6 +288,12 @@ class Likelihood(PushLikelihood):
         """Number of independent poses and forces that all pushes together count as."""
         return sum(sum(self._counted(observation)) for observation in self.observations)
 
+    @property
+    def degrees(self) -> float:
+        """Number of independent residuals of them: three of each pose, two of each force."""
+        counted = np.array([self._counted(observation) for observation in self.observations])
+        return float((counted @ [3.0, 2.0]).sum())
+
     def log_widths(self) -> float:
         """Σ log σ of all residuals, counted as in the costs; its negative normalises densities."""
         total = 0.0

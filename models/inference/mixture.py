@@ -133,7 +133,7 @@ def explain(
         Explanations with their shares, the largest first; shares sum to one.
 
     Raises:
-        RolloutError: not even the plain law could be fitted.
+        RolloutError: not even the plain law could be fitted, or none of the chosen ones to all pushes.
     """
     if len(observations) <= 2 * _COMPARED:
         return _compared(dataset, observations, settings, progress, found, plain_only=plain_only)
@@ -144,11 +144,17 @@ def explain(
     def later(done: int, total: int) -> None:
         progress(total + 2 * done, 3 * total)
 
-    every = []
+    every: list[Explanation] = []
     for place, one in enumerate(chosen):
         prior, own = one.likelihood.prior, part_of(later, place, len(chosen))
-        ladder = fit_with_trust(prior, observations, dataset.noise, one.best.z, own, near=one.ladder)
+        try:
+            ladder = fit_with_trust(prior, observations, dataset.noise, one.best.z, own, near=one.ladder)
+        except (RolloutError, np.linalg.LinAlgError):
+            if not every and one is chosen[-1]:
+                raise
+            continue
         every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
+    progress(1, 1)
     return shared_out(every)
 
 
@@ -318,6 +324,7 @@ def mixed_belief(
     used = (*given, *of_laws)
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     likelihood = every[0].likelihood
+    chosen_on = {"laws_chosen_on": _COMPARED} if len(likelihood.observations) > 2 * _COMPARED else {}
     own = likelihood.prior.slider
     slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, used, own.table)
     names = ("mass", "mu", "mu_finger", "effects")
@@ -332,6 +339,7 @@ def mixed_belief(
         trials=[observation.trial for observation in likelihood.observations],
         settings={
             **trusted(every[0].ladder),
+            **chosen_on,
             "friction_laws": _by([one.law for one, _ in kept], [share for _, share in kept]),
             "structures": _by([one.structure for one, _ in kept], [share for _, share in kept]),
         },

@@ -126,6 +126,14 @@ class Taught:
         """Prior of the model without effects."""
         return _prior(self.dataset, (), None)
 
+    @property
+    def widening(self) -> float:
+        """Typical size of the pushes' errors over that of the residuals that the fitted maps left."""
+        rows = self.likelihood((), self.weight).degrees
+        hessian = self.base.hessian[0]
+        spent = float(np.trace(np.linalg.solve(hessian + np.eye(len(hessian)), hessian)))
+        return float(np.sqrt(rows / max(rows - spent, 1.0)))
+
 
 def _prior(
     dataset: PushDataset,
@@ -215,7 +223,7 @@ class FirstGain:
     gain: float  # drop in cost, nats
     evidence: float  # the same less what the parameters would gain anyway (Laplace)
     start: FloatArray  # (P,) parameters, the amplitudes at their nulls
-    p_value: float | None  # share of random signs under which the largest gain of all is at least this
+    p_value: float | None  # share of random signs under which the largest gain of all is at least its own
 
 
 class Together:
@@ -265,7 +273,10 @@ class Together:
         dataset; first those of the largest evidence (the gain, less what the parameters would gain anyway).
 
         By chance alone, the residuals of any push could equally well have had the opposite sign. So the
-        p-values compare with the largest gain over all effects when whole pushes change sign at random.
+        p-values compare with the largest gain over all effects when whole pushes change sign at random. The
+        prior's pull balances only the signs of the data, so it is left out of both. The fitted maps have
+        already taken their share of the residuals, and take it again from residuals that have changed sign;
+        so these are widened first.
 
         Args:
             effects: to try.
@@ -277,12 +288,16 @@ class Together:
         scene = self.scene()
         starts = [effect.start_values(scene) for effect in effects]
         at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
-        gains: list[list[FloatArray]] = [[] for _ in effects]  # by start: of the data, then of each pattern
+        # By start: gain of the data, the same without the prior's pull, then of each pattern of signs.
+        gains: list[list[FloatArray]] = [[] for _ in effects]
         occam: list[list[float]] = [[] for _ in effects]
         rounds = max(len(start) for start in starts)
         few = [one.few(_SCREENED) for one in self.taught]
         likelihoods = [one.likelihood(effects, self.weight) for one in few]
-        signs = [rng.choice([-1.0, 1.0], (len(one.observations), draws)) for one in few]
+        signs = []
+        for every, one in zip(self.taught, few, strict=True):
+            turned = every.widening * rng.choice([-1.0, 1.0], (len(one.observations), draws))
+            signs.append(np.concatenate([np.ones((len(turned), 1)), turned], axis=1))
         for g in range(rounds):
             asked = [i for i, start in enumerate(starts) if g < len(start)]
             said: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in effects]
@@ -303,7 +318,7 @@ class Together:
                 gains[i].append(np.sum([_fall(normal, slope) for normal, slope in said[i]], axis=0))
                 occam[i].append(sum(_occam(normal) for normal, _ in said[i]))
         tried = [np.array(own) for own in gains]
-        chance = np.max([own[:, 1:].max(axis=0) for own in tried], axis=0)
+        chance = np.max([own[:, 2:].max(axis=0) for own in tried], axis=0)
 
         def p_value(gain: float) -> float | None:
             return float((1 + (chance >= gain).sum()) / (1 + draws)) if draws else None
@@ -312,7 +327,8 @@ class Together:
         for effect, own, start, spent in zip(effects, tried, starts, occam, strict=True):
             best = int(np.argmax(own[:, 0]))
             gain = float(own[best, 0])
-            found.append(FirstGain(effect, gain, gain - spent[best], start[best], p_value(gain)))
+            p = p_value(float(own[:, 1].max()))
+            found.append(FirstGain(effect, gain, gain - spent[best], start[best], p))
         return sorted(found, key=lambda one: -one.evidence)
 
     def fitted(self, effects: Sequence[Effect], starts: Sequence[FloatArray]) -> JointFit:

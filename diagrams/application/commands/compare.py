@@ -100,8 +100,9 @@ def compare(
     error depends on: place, direction, speed, phase, time and order. With --effect, two models are learned
     from the fit pushes, without and with the effects, and shown side by side.
 
-    Several datasets, each of one object, are compared one by one, and the report says which errors recur.
-    With --effect, their models share the effects as in `slipmap fit`.
+    Several datasets, each of one object, are compared one by one, and the report says what the remaining
+    error depends on in more than one of them. With --effect, their models share the effects as in
+    `slipmap fit`.
     """
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.belief import Belief
@@ -114,6 +115,8 @@ def compare(
     known = options.find_effects(effect_files)
     effects = effects_named(effect_names, known)
     if len(datasets) > 1:
+        if apart and not effects:
+            raise BadInput("--apart says which effects several datasets do not share; add --effect")
         _compare_together(datasets, effects, apart, output, seed, object_name, json_file)
         return
     options.refuse_apart(apart)

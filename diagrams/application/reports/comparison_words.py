@@ -179,7 +179,7 @@ def findings(results: Sequence[Comparison]) -> list[str]:
 
 
 def joint_findings(found: JointComparison) -> list[str]:
-    """The findings on several datasets, one paragraph each: the errors, and what recurs."""
+    """The findings on several datasets, one paragraph each: the errors, and what several depend on."""
     last = [models[-1] for models in found.datasets]
     errors = {one.dataset: judged(one)[1].model.final_add for one in last}
     uniform = sum(judged(one)[1].uniform.final_add for one in last) / len(last)
@@ -197,15 +197,23 @@ def joint_findings(found: JointComparison) -> list[str]:
         worse = [name for name, error in errors.items() if error >= before[name]]
         text += (
             f" Without effects, the model ends {millimetres(sum(before.values()) / len(before))} mm off; with"
-            f" them, the error falls in {len(errors) - len(worse)} of {len(errors)} datasets"
+            " them, the error falls in "
         )
-        text += f", not in {', '.join(worse)}." if worse else "."
+        if len(worse) == len(errors):
+            text += "no dataset."
+        else:
+            text += f"{len(errors) - len(worse)} of {len(errors)} datasets"
+            text += f", not in {', '.join(worse)}." if worse else "."
     recurring = [
         f"In {len(names)} of {len(last)} datasets ({', '.join(names)}): {sentence_part(pattern)}."
         for pattern, names in found.recurring
     ]
     if recurring:
-        said = " ".join(["The same error recurs.", *recurring, "Sizes are those of the clearest dataset."])
+        first = (
+            "The remaining error depends on the same thing in several datasets (size and sign are those of"
+            " the clearest dataset)."
+        )
+        said = " ".join([first, *recurring])
     else:
         said = "No pattern of the remaining error is significant in more than one dataset."
     return [text, said]

@@ -285,7 +285,7 @@ def _joint_standing(candidate: JointCandidate) -> str:
     if candidate.in_set:
         return "not ruled out"
     if candidate.evidence is None:
-        return "behind others to first order"
+        return candidate.objection or "behind others to first order"
     few = "explains too little" if candidate.evidence <= EVIDENCE else "others explain more"
     return candidate.objection or few
 
@@ -339,12 +339,16 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
         return ""
     against = [name for name, fall in falls.items() if fall <= 0.0]
     which = "every dataset are predicted better"
-    if against:
+    if len(against) == len(falls):
+        which = "no dataset are predicted better"
+    elif against:
         better = len(falls) - len(against)
         which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
     alternatives = isinstance(found, JointDiagnosis)
     names = found.effects[0] if alternatives else " and ".join(found.effects)
-    return f"With {names}, the locked pushes of {which}. Their total cost falls by {nats(found.fall)} nats."
+    total = 0.0 if found.fall is None else found.fall
+    turns = "rises" if total < 0.0 else "falls"
+    return f"With {names}, the locked pushes of {which}. Their total cost {turns} by {nats(abs(total))} nats."
 
 
 def _row(one: DatasetResult) -> list[str]:

@@ -206,7 +206,8 @@ class JointCandidate:
     gain: float | None  # the same after a full refit; None without one
     evidence: float | None  # the same less what its parameters would gain anyway
     in_set: bool  # whether the data cannot rule it out
-    objection: str | None  # what speaks against an effect that the locked pushes have judged
+    # what speaks against an effect that the locked pushes have judged; `not refitted` where a refit failed
+    objection: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +272,9 @@ class JointDiagnosis:
     def next_step(self, where: str = "DATASET...") -> str:
         """What to do next, with the command to type; `where` names the datasets in that command."""
         if self.effect is not None:
-            command = f"slipmap fit {where} --effect {self.effect} -o with-{self.effect}.npz"
+            of_library = any(self.effect == effect.name for effect in LIBRARY)
+            more = "" if of_library else " --effect-file FILE"
+            command = f"slipmap fit {where} --effect {self.effect}{more} -o with-{self.effect}.npz"
             return f"run `{command}` to learn this model, with one belief of each object."
         if self.verdict == "adequate":
             return (

@@ -91,13 +91,14 @@ def diagnose_together(
         effects: candidates.
         apart: owners of effects that the datasets do not share, out of `object`, `table`, `tracker`,
             `finger`, `force sensor`; the object is never shared.
-        draws: random signs of whole pushes for the p-values.
+        draws: random signs of whole pushes for the p-values; with 0 there are none.
         seed: of the draws and of the choice of locked pushes.
         progress: called with (stage, done, total).
 
     Raises:
         DatasetError: fewer than two datasets, two with the same name, or one without a push left to fit.
-        ValueError: an unknown owner in `apart`.
+        RolloutError: a model cannot be computed.
+        ValueError: an unknown owner in `apart`, or a negative number of draws.
 
     Example:
         >>> import dataclasses
@@ -109,6 +110,8 @@ def diagnose_together(
         ()
     """
     check_together(datasets, apart)
+    if draws < 0:
+        raise ValueError(f"draws must not be negative, got {draws}")
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
     return replace(inquiry.run(draws), seconds=time.perf_counter() - started)
@@ -135,6 +138,7 @@ def fit_together(
 
     Raises:
         DatasetError: as in `diagnose_together`, or the model with the effects cannot be fitted.
+        RolloutError: another model cannot be computed.
         ValueError: an unknown owner in `apart`, no effect, or too few hypotheses.
         EffectError: an unknown effect, or a formula that cannot be used.
 
@@ -191,7 +195,7 @@ def named_by_evidence(
         progress: called with the numbers of parts done and of all parts.
 
     Returns:
-        None, one or two effects, the first first.
+        One effect, or two, the first first; empty if none is named.
     """
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
     found = inquiry.run(0)
@@ -253,6 +257,11 @@ class _Judged:
         return " and ".join(effect.name for effect in self.fit.effects)
 
     @property
+    def pronoun(self) -> str:
+        """The effects in a sentence."""
+        return "it" if len(self.fit.effects) == 1 else "them"
+
+    @property
     def fall(self) -> float:
         """Drop in cost of all locked pushes, nats."""
         return sum(self.falls)
@@ -297,11 +306,13 @@ class _Inquiry:
         base = self.together.fitted((), ())
         fits = self.fits
         evidence: dict[str, float] = {}
+        objections: dict[str, str] = {}
         for step, one in enumerate(first[:_REFITTED]):
             self.report("refitting with effects", step, _REFITTED)
             try:
                 fit = self.together.fitted((one.effect,), (one.start,))
             except (RolloutError, np.linalg.LinAlgError):
+                objections[one.effect.name] = "not refitted"
                 continue
             fits[one.effect.name] = fit
             self.starts[one.effect.name] = one.start
@@ -318,7 +329,7 @@ class _Inquiry:
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
-        objections = {one.name: self._objection(one) for one in judged if one not in there}
+        objections |= {one.name: self._objection(one) for one in judged if one not in there}
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
         candidates = tuple(
@@ -354,9 +365,11 @@ class _Inquiry:
         second = _far_ahead(evidence) if evidence else None
         if second is None:
             return None
-        judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
-        helps = judged.fall > self.judged[name].fall + _RIVAL and self._there(judged)
-        return second if helps else None
+        with suppress(RolloutError, np.linalg.LinAlgError):
+            judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
+            if judged.fall > self.judged[name].fall + _RIVAL and self._there(judged):
+                return second
+        return None
 
     def learned_with_all(self, hypotheses: int) -> JointIdentification:
         """Fit all effects at once, judge them, and learn a belief of each object; `seconds` stays 0.
@@ -378,17 +391,20 @@ class _Inquiry:
         self.report("refitting with effects", 1, 1)
         evidence = fit.evidence(base)
         judged = self._judge(fit, evidence, partial(self.report, "judging by locked pushes"))
+        are, of = ("is", "its") if len(self.effects) == 1 else ("are", "their")
         verdict, objection = "undecided", f": {self._objection(judged)}"
         if evidence <= EVIDENCE:
-            objection = ": the open pushes are explained hardly better with it"
+            objection = (
+                f": the open pushes are explained hardly better than {of} parameters would explain anyway"
+            )
         elif judged.falls_in_most and judged.fall > _RIVAL and self._there(judged):
             verdict = "for"
         if judged.fall < -_RIVAL:
-            verdict, objection = "against", ": the locked pushes are predicted worse with it"
+            verdict, objection = "against", f": the locked pushes are predicted worse with {judged.pronoun}"
         said = {
             "for": f"The datasets support {names}.",
             "against": f"THE DATASETS SPEAK AGAINST {names}{objection}.",
-            "undecided": f"The datasets do not show whether {names} is present{objection}.",
+            "undecided": f"The datasets do not show whether {names} {are} present{objection}.",
         }
         learned = []
         for k, ground in enumerate(self.grounds):
@@ -459,9 +475,12 @@ class _Inquiry:
         return _Judged(fit, after, falls, held, evidence + sum(falls))
 
     def _objection(self, one: _Judged) -> str:
-        """Why the locked pushes or its interval speak against an effect."""
+        """Why the locked pushes or its interval speak against a model with effects."""
+        if all(now is None for now in one.after):
+            nothing = f"no pushes were locked away that could judge {one.pronoun}"
+            return f"{nothing}; give each dataset three pushes or more"
         if one.fall <= _RIVAL:
-            return "the locked pushes are not clearly predicted better with it"
+            return f"the locked pushes are not clearly predicted better with {one.pronoun}"
         if not one.falls_in_most:
             names = [g.taught.dataset.name for g in self.grounds]
             worse = [
@@ -469,8 +488,9 @@ class _Inquiry:
                 for name, fall, now in zip(names, one.falls, one.after, strict=True)
                 if now is not None and fall <= 0.0
             ]
-            return f"the locked pushes of {', '.join(worse)} are predicted worse with it"
-        return "its 90 % interval includes the value without the effect"
+            return f"the locked pushes of {', '.join(worse)} are predicted worse with {one.pronoun}"
+        own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
+        return f"{own} includes the value without the effect"
 
     def _there(self, one: _Judged) -> bool:
         """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is

@@ -2,15 +2,17 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from schemas import assert_as_described
 
 import slipmap as slipmap_package
+from slipmap.diagrams.application.commands.options import typed
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
-from slipmap.diagrams.application.reports.diagnosis_words import show_together, where_it_falls
+from slipmap.diagrams.application.reports.diagnosis_words import joint_ranking, show_together, where_it_falls
 from slipmap.diagrams.application.reports.effect_words import in_the_middle
 from slipmap.diagrams.application.reports.tables import joint_rows
 from slipmap.models.effects.library import LIBRARY
@@ -55,7 +57,22 @@ def test_where_locked_pushes_are_not_better_predicted_is_said():
     assert "of every dataset are predicted better" in where_it_falls(made(4.0, 5.0))
     said = where_it_falls(made(4.0, -1.0, 5.0))
     assert "of 2 of 3 datasets are predicted better, not those of set 1" in said and "8.0 nats" in said
+    said = where_it_falls(made(-4.0, -1.2))
+    assert "of no dataset are predicted better" in said and "cost rises by 5.2 nats" in said
     assert where_it_falls(made(None, None, verdict="adequate")) == ""
+
+
+def test_paths_are_quoted_and_the_file_of_an_own_effect_is_asked_for():
+    assert typed([Path("a b"), Path("c")], ["force sensor"]) == "'a b' c --apart 'force sensor'"
+    own = dataclasses.replace(made(4.0, 5.0), effects=("mine",))
+    assert "--effect mine --effect-file FILE -o" in own.next_step()
+    assert "--effect-file" not in made(4.0, 5.0).next_step()
+
+
+def test_a_failed_refit_is_not_taken_for_an_effect_behind_others():
+    found = made(4.0, 5.0)
+    failed = dataclasses.replace(found.candidates[-1], objection="not refitted")
+    assert joint_ranking(dataclasses.replace(found, candidates=(failed,)))[0][-1] == "not refitted"
 
 
 def test_what_is_printed_names_sizes_and_the_next_command(capsys):
@@ -139,6 +156,12 @@ def test_options_of_one_dataset_are_refused_for_several_and_the_other_way_round(
     assert said.code == 2 and "give two or more" in said.err
 
 
+def test_what_effects_do_not_share_needs_effects(slipmap, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = slipmap("compare", "a", "b", "--apart", "table")
+    assert said.code == 2 and "add --effect" in " ".join(said.err.split())
+
+
 def written(folder, *names):
     """Datasets of different pushes, reported 30 ms late."""
     for seed, name in enumerate(names, start=1):
@@ -218,5 +241,7 @@ def test_where_an_effect_does_not_help_is_said():
     (errors, _) = joint_findings(found)
     assert "the model with tether ends 2.0 mm" in errors and "(1.0 in A to 3.0 in B" in errors
     assert "the error falls in 1 of 2 datasets, not in B." in errors
+    worse = JointComparison(tuple((compared(one.dataset, 0.3, error=1e-4), one) for one in after), fitted)
+    assert "the error falls in no dataset." in joint_findings(worse)[0]
     columns, rows = joint_rows(found)
     assert columns[2:4] == ["model", "with tether"] and rows[1][2:4] == ["2.0", "3.0"]
