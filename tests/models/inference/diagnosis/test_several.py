@@ -14,6 +14,7 @@ from slipmap.models.inference.diagnosis.several import (
     named_by_evidence,
 )
 from slipmap.models.measurements import DatasetError
+from slipmap.models.physics.rollout import RolloutError
 
 EFFECTS = (SensorLatency(), AnisotropicTable(), TrackerScale())
 
@@ -163,6 +164,37 @@ def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
     for datasets in ([recorded.dataset], [recorded.dataset, recorded.dataset]):
         with pytest.raises(DatasetError, match="needs two or more datasets with different names"):
             diagnose_together(datasets)
+
+
+def test_a_second_effect_that_cannot_be_judged_leaves_the_first(recorded, monkeypatch):
+    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+    own = several._Inquiry._judge
+
+    def judge(self, fit, evidence, progress):
+        if len(fit.effects) > 1:
+            raise RolloutError("broken")
+        return own(self, fit, evidence, progress)
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    assert len(named_by_evidence(both, EFFECTS, 0, lambda done, total: None)) == 1
+
+
+def test_an_answer_that_no_push_judges_says_so(recorded):
+    short = [recorded.dataset.with_fit_pushes(2), recorded.dataset.with_fit_pushes(2)]
+    pair = [
+        late(dataclasses.replace(one, trials=one.fit_trials), 0.05, name)
+        for one, name in zip(short, ("first", "second"), strict=True)
+    ]
+    found = diagnose_together(pair, effects=EFFECTS[:1], draws=0)
+    assert found.p_value is None and found.effects == ()
+    assert all(one.locked == () for one in found.datasets)
+    assert "no pushes were locked away that could judge it" in found.sentence
+
+
+def test_a_negative_number_of_draws_is_refused(recorded):
+    pair = [dataclasses.replace(recorded.dataset, name=name) for name in ("first", "second")]
+    with pytest.raises(ValueError, match="must not be negative"):
+        diagnose_together(pair, draws=-1)
 
 
 def test_an_unknown_owner_is_refused(recorded):
