@@ -40,19 +40,21 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         check_file(path, _LARGEST)
     except UnreadableFile as error:
         raise EffectError(f"effect file {path}: {error}") from error
-    before, null, _ = path.read_bytes().partition(b"\0")
+    source = path.read_bytes()
+    before, null, _ = source.partition(b"\0")
     if null:  # Pythons before 3.11.4 name no line
         row = before.count(b"\n") + 1
         raise EffectError(f"effect file {path}, line {row}: it holds a null byte; save it as UTF-8 text")
     # SymPy formulas are keyed by their file; another module of the same name must not be mistaken for it.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if spec is None:
         raise EffectError(f"effect file {path}: it is not a Python file; its name must end with .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # An import may use bytecode of the file as it was, known by its size and the second of its change.
+        exec(compile(source, str(path), "exec", dont_inherit=True), vars(module))
     except SyntaxError as error:
         line = f", line {error.lineno}" if error.lineno else ""
         raise EffectError(f"effect file {path}{line}: {error.msg}") from error

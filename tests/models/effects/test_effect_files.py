@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,19 @@ def file(tmp_path: Path):  # type: ignore[no-untyped-def]
         return path
 
     return write
+
+
+def test_a_file_that_changed_within_a_second_is_read_anew(file, monkeypatch):  # type: ignore[no-untyped-def]
+    """Python keeps bytecode by a file's size and the second of its change."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    path = file(GOOD)
+    load_effects(path)
+    then = path.stat().st_mtime
+    path.write_text(GOOD.replace("50.0, 0.1", "60.0, 0.1"))
+    os.utime(path, (then, then))
+    (magnet,) = load_effects(path)
+    assert magnet.parameters[0].high == 60.0
+    assert not (path.parent / "__pycache__").exists()
 
 
 def test_an_effect_from_a_file_acts(file) -> None:  # type: ignore[no-untyped-def]
