@@ -114,7 +114,9 @@ class PushLikelihood(ABC):
         sizes = [self._size(b) for b in range(len(self._pushes))]
         self._order = np.array(sorted(range(len(sizes)), key=sizes.__getitem__), dtype=np.int64)
         kinds = {size: kind for kind, size in enumerate(sorted(set(sizes)))}
+        # In that order: which pushes agree in size, and how many rows of residuals each has.
         self._kind = np.array([kinds[sizes[b]] for b in self._order], dtype=np.int64)
+        self._rows = np.array([3 * sizes[b][0] + 2 * sizes[b][1] for b in self._order], dtype=np.int64)
 
     def _size(self, b: int) -> tuple[int, ...]:
         """What has to agree for pushes to be weighted together: numbers of poses, forces and so on."""
@@ -179,9 +181,7 @@ class PushLikelihood(ABC):
         """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
         at most about `_JACOBIANS` bytes, and of these those of one size together."""
         K = len(maps)
-        poses = np.array([len(self.observations[b].poses) for b in self._order])
-        forces = np.array([len(np.atleast_1d(self._pushes[b].force_times)) for b in self._order])
-        size = 8 * K * columns * (3 * poses + 2 * forces)
+        size = 8 * K * columns * self._rows
         for part in _cut(np.cumsum(size) // _JACOBIANS):
             own = self._order[part]
             rollouts = self.prior.slider.rollout(

@@ -476,7 +476,7 @@ class _Inquiry:
 
     def _objection(self, one: _Judged) -> str:
         """Why the locked pushes or its interval speak against a model with effects."""
-        if all(now is None for now in one.after):
+        if all(errors is None for errors in one.after):
             nothing = f"no pushes were locked away that could judge {one.pronoun}"
             return f"{nothing}; give each dataset three pushes or more"
         if one.fall <= _RIVAL:
