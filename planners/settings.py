@@ -25,9 +25,9 @@ class RepairSettings(CheckedSettings):
     pushes: int = within(10, 0, 100)  # most pushes that it may ask for in addition to those of exploration
     # the monitor's evidence at which pushes are diagnosed; an alarm takes 100
     doubt: float = within(10.0, 1.0, 100.0)
-    # combined p of all pushes (`Watch.joint_p`) up to which they are diagnosed even without an alarm
-    together: float = within(0.25, 0.0, 1.0)
-    every: int = within(5, 1, 100)  # pushes between two diagnoses of that kind
+    every: int = within(5, 1, 100)  # pushes after which they are diagnosed again even without a surprise
+    # p of the largest gain up to which an undecided diagnosis is worth another push
+    chance: float = within(0.5, 0.0, 1.0)
     fewest: int = within(5, 4, 100)  # fewest pushes that are worth a diagnosis
     # pushes that test an effect just adopted; if they surprise, it is diagnosed again
     probation: int = within(2, 1, 100)

@@ -41,6 +41,9 @@ from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
 
+OF_FORCE = frozenset(effect.name for effect in LIBRARY if effect.belongs_to == "force sensor")
+"""Effects that move nothing, so a robot that wants to move objects need not settle them."""
+
 MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])
 """m, rad by which a person may misplace the object; a push must tell the rivals apart even then."""
 
@@ -173,7 +176,7 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
 
     With several effects left, these effects. With one, the models with and without it, because the robot must
     be sure that the effect is present. If the verdict is `undecided`, the `_LEADING` effects that gain most,
-    in ordinary size, and the model without any.
+    in ordinary size, and the model without any; effects of the force sensor move nothing and do not count.
 
     Args:
         diagnosis: of the dataset.
@@ -191,7 +194,11 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
         return Question(
             (Rival.of(best), base), ((0, 1),), "best shows it", best.likelihood.error, dataset.grid, habits
         )
-    gains = [(c.gain if c.fitted_gain is None else c.fitted_gain, c.name) for c in diagnosis.candidates]
+    gains = [
+        (c.gain if c.fitted_gain is None else c.fitted_gain, c.name)
+        for c in diagnosis.candidates
+        if c.name not in OF_FORCE
+    ]
     leading = [name for gain, name in sorted(gains, reverse=True)[:_LEADING] if gain > _LEADS]
     if diagnosis.verdict == "undecided" and leading:
         rivals = (*_of_ordinary_size(diagnosis, dataset, habits, leading), base)

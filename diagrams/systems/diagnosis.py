@@ -19,13 +19,15 @@ from slipmap.models.inference.prediction import predict
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.planners.settings import RepairSettings
-from slipmap.planners.telling_push import Question, robots_question
+from slipmap.planners.telling_push import OF_FORCE, Question, robots_question
 
 PERIOD = 0.05
 
 TELLS = 1e-3
 """m by which errors with and without an effect must differ for a push to favour either: camera and finger are
 off by a third of that."""
+
+_LOCKED = 5  # one push in this many judges a diagnosis; pushes to come test what is adopted
 
 FAILED, TRIED = "failed", "tried"
 """Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes."""
@@ -88,7 +90,9 @@ class _Answer:
 
     verdict: str
     sentence: str
-    rivals: tuple[tuple[tuple[str, int], ...], ...] = ()  # names of their effects, and parameters of each
+    # names and numbers of parameters of each rival's effects, without those `OF_FORCE`
+    rivals: tuple[tuple[tuple[str, int], ...], ...] = ()
+    p: float = 0.0  # of their largest gain
     question: Question | None = None
 
 
@@ -101,12 +105,14 @@ class Diagnosis(PythonSystem):
     Outputs:
     - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
 
-    While pushes end as predicted, nothing changes. When the monitor raises an alarm or is in doubt, all
-    pushes are diagnosed; likewise when no single push is surprising but all of them together are. One effect
-    is adopted, or two that are needed together; among effects that the pushes cannot tell apart, the
-    simplest. If the verdict is `undecided`, the block asks for another push and states which models it should
-    tell apart (`Repair.question`). If the effect is unknown, or nothing is missing after all, the robot
-    continues without one; the surprising pushes widen its intervals as it learns.
+    All pushes are diagnosed when the monitor raises an alarm or is in doubt, and every few pushes even if
+    none was surprising: a late camera, for example, does not change where objects come to rest. The newest
+    fifth of the pushes is locked away to judge the answer. One effect is adopted, or two that are needed
+    together; among effects that the pushes cannot tell apart, the simplest. Effects of the force sensor are
+    not adopted, as they move nothing. If the verdict is `undecided` and the best effect gains more than is
+    likely by chance, the block asks for another push and states which models it should tell apart
+    (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the robot continues without
+    one; surprising pushes widen its intervals as it learns.
 
     Adopted effects are tested on the next pushes. If the predictions are no better than those of a model
     without the effects, learned from the earlier pushes, the effects are dropped. If these pushes surprise,
@@ -168,9 +174,8 @@ class Diagnosis(PythonSystem):
                 task, rest = _errors_without, (repair.tried.pushes, self._without(repair), self._seed)
             if task is None:
                 return replace(repair, trials=len(trials)), None
-            teaching = [replace(trial, role="fit") for trial in trials]
             grid = self.input(context, "cell_grid")
-            job = (len(trials), begun(self._worker, task, self._make_dataset, teaching, grid, *rest))
+            job = (len(trials), begun(self._worker, task, self._make_dataset, trials, grid, *rest))
         count, result = job
         if not result.done():
             return repair, job
@@ -184,12 +189,12 @@ class Diagnosis(PythonSystem):
         return self._tried(repair, count, self._errors(repair, self.input(context, "watch")), answer), None
 
     def _doubtful(self, repair: Repair, count: int, watch: Watch) -> bool:
-        """Whether to diagnose the pushes, because of the last one or of all of them together."""
+        """Whether to diagnose the pushes: they surprised, the answer is open, or a check is due."""
         if watch.alarm or watch.evidence >= self._settings.doubt:
             return True
         last = repair.findings[-1] if repair.findings else None
-        rested = last is None or last.action == "pushes on" or count >= last.pushes + self._settings.every
-        return count >= self._settings.fewest and rested and watch.joint_p <= self._settings.together
+        due = last is None or last.action == "pushes on" or count >= last.pushes + self._settings.every
+        return due and count >= self._settings.fewest
 
     def _concluded(self, repair: Repair, count: int, found: _Answer) -> Repair:
         """The repair after a diagnosis of `count` pushes."""
@@ -198,6 +203,7 @@ class Diagnosis(PythonSystem):
             simplest = min(found.rivals, key=lambda rival: sum(size for _, size in rival))
             named = tuple(name for name, _ in simplest if name not in self._given)
         effects, question = (*self._given, *named), found.question
+        is_open = found.verdict == "undecided" and found.p <= self._settings.chance
         if found.verdict == FAILED:
             effects, question = repair.effects, None
         elif found.verdict in ("unknown", "undecided") and self._confirmed(repair):
@@ -207,7 +213,7 @@ class Diagnosis(PythonSystem):
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
         elif effects != repair.effects:
             action = "drops"
-        elif found.verdict == "undecided" and count < self._most:
+        elif is_open and count < self._most:
             action = "pushes on"
         else:
             action = "goes on without" if effects == self._given else "keeps"
@@ -218,7 +224,7 @@ class Diagnosis(PythonSystem):
         after = Repair(count, effects, repair.wanted, (*repair.findings, finding), question)
         if action == "adopts":
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
-        return self._pushing_on(after) if found.verdict == "undecided" else after
+        return self._pushing_on(after) if is_open else after
 
     def _tried(self, repair: Repair, count: int, errors: dict[int, float], without: list[float]) -> Repair:
         """The repair after effects were tested on pushes.
@@ -272,12 +278,20 @@ MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed: int) -> _Answer:
     """Diagnose pushes; runs in a worker."""
-    dataset = make(trials, grid)
+    kept = len(trials) - max(1, len(trials) // _LOCKED)
+    dataset = make(
+        [replace(trial, role="fit" if k < kept else "heldout") for k, trial in enumerate(trials)], grid
+    )
     found = procedure.diagnose(dataset, seed=seed)
     rivals = tuple(
-        tuple((effect.name, len(effect.parameters)) for effect in rival.effects) for rival in found.rivals
+        tuple((one.name, len(one.parameters)) for one in rival.effects if one.name not in OF_FORCE)
+        for rival in found.rivals
     )
-    return _Answer(found.verdict, found.sentence, rivals, robots_question(found, dataset))
+    p = min(
+        (one.p_value for one in found.candidates if one.p_value is not None and one.name not in OF_FORCE),
+        default=0.0,
+    )
+    return _Answer(found.verdict, found.sentence, rivals, p, robots_question(found, dataset))
 
 
 def _errors_without(
@@ -289,5 +303,6 @@ def _errors_without(
     seed: int,
 ) -> list[float]:
     """ADD errors, m, of the pushes after the first `count`, predicted by a model learned from those."""
-    belief = learning(effects)(make(trials[:count], grid), seed=seed).belief
+    taught = [replace(trial, role="fit") for trial in trials[:count]]
+    belief = learning(effects)(make(taught, grid), seed=seed).belief
     return [push.final_add for push in predict(belief, make(trials[count:], grid))]

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context
-from scipy.special import chdtrc
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
@@ -71,13 +70,6 @@ class Watch:
     def evidence(self) -> float:
         """E; 1 before any push."""
         return self.judged[-1].evidence if self.judged else 1.0
-
-    @property
-    def joint_p(self) -> float:
-        """Fisher's combined p of all pushes judged with the present effects: the probability that their p are
-        as small by chance if no effect is missing; 1 before any push."""
-        same = [push for push in self.judged if push.effects == self.judged[-1].effects]
-        return float(chdtrc(2 * len(same), -2.0 * sum(np.log(max(push.p, 1e-12)) for push in same)))
 
     @property
     def alarm(self) -> bool:

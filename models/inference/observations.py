@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from slipmap.models.geometry import rotated
@@ -81,7 +82,10 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
-    tip = interpolated(ends, track_time, track) if trial.has_finger else np.full((steps + 1, 2), np.nan)
+    tip = np.full((steps + 1, 2), np.nan)
+    if trial.has_finger:
+        # Straight lines between rows would change the speed at each row at once, and the force would ring.
+        tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
 
     start, start_rows = trial.object_pose.values[0].copy(), 1
     if not trial.ends_only and not twist.any():

@@ -42,16 +42,22 @@ class Robot(DrivenBlock):
         waiting = list(answers)
 
         def diagnose(dataset, *, seed):
-            assert all(push.role == "fit" for push in dataset)
+            judges = max(1, len(dataset) // 5)
+            roles = ["fit"] * (len(dataset) - judges) + ["heldout"] * judges
+            assert [push.role for push in dataset] == roles
             self.asked.append(len(dataset))
             answer = waiting.pop(0)
             if isinstance(answer, Exception):
                 raise answer
-            verdict, effects = answer
+            verdict, effects, *p = answer
             named = effects_named(effects)
             rivals = [(effect,) for effect in named] if verdict == "ambiguous" else [named] if named else []
             rivals = [SimpleNamespace(effects=tuple(rival)) for rival in rivals]
-            return SimpleNamespace(verdict=verdict, rivals=rivals, sentence=f"{verdict}.")
+            gains = [("force_latency", 0.01), ("table_tilt", p[0] if p else 0.01), ("tether", 1.0)]
+            candidates = [SimpleNamespace(name=name, p_value=chance) for name, chance in gains]
+            return SimpleNamespace(
+                verdict=verdict, rivals=rivals, sentence=f"{verdict}.", candidates=candidates
+            )
 
         monkeypatch.setattr(procedure, "diagnose", diagnose)
         monkeypatch.setattr(
@@ -85,8 +91,8 @@ class Robot(DrivenBlock):
         return self.read("repair")
 
 
-def judged(count, effects=(), evidence=1.0, alarm=False, error=1e-3, p=0.5) -> Judged:
-    return Judged(count - 1, 1.0, p, evidence, alarm, error, 5e-3, alarm, tuple(effects), 0.05)
+def judged(count, effects=(), evidence=1.0, alarm=False, error=1e-3) -> Judged:
+    return Judged(count - 1, 1.0, 0.5, evidence, alarm, error, 5e-3, alarm, tuple(effects), 0.05)
 
 
 def watch(count: int, **seen) -> Watch:
@@ -97,12 +103,13 @@ def actions(repair: Repair) -> list[str]:
     return [finding.action for finding in repair.findings]
 
 
-def test_pushes_that_end_as_predicted_are_not_looked_into(monkeypatch):
-    robot = Robot(monkeypatch)
-    for count in range(1, 9):
+def test_pushes_that_end_as_predicted_are_checked_now_and_then(monkeypatch):
+    robot = Robot(monkeypatch, *[("adequate", ())] * 2)
+    for count in range(1, 13):
         repair = robot.push(count, evidence=9.0)
-        assert (repair.trials, repair.wanted, repair.findings) == (count, 0, ())
-    assert robot.asked == []
+        assert (repair.trials, repair.wanted) == (count, 0)
+    assert robot.asked == [SETTINGS.fewest, SETTINGS.fewest + SETTINGS.every]
+    assert actions(repair) == ["goes on without"] * 2
 
 
 def test_it_waits_until_the_monitor_has_judged_the_push(monkeypatch):
@@ -254,16 +261,26 @@ def test_another_process_asks_an_open_question_anew(monkeypatch):
     assert robot.push(5, alarm=True) == first and robot.asked == [5]
 
 
-def test_pushes_that_surprise_together_are_looked_into_though_none_does_alone(monkeypatch):
-    robot = Robot(monkeypatch, ("undecided", ()), ("adequate", ()), ("adequate", ()))
-    for count in range(1, 13):
-        robot.push(count, p=0.15)
-    # From the fewest on, again at once while the answer is open, and then after a rest.
-    assert robot.asked == [SETTINGS.fewest, SETTINGS.fewest + 1, SETTINGS.fewest + 1 + SETTINGS.every]
-    quiet = Robot(monkeypatch)
-    for count in range(1, 13):
-        quiet.push(count, p=0.4)
-    assert quiet.asked == []
+def test_an_open_answer_that_may_be_chance_is_worth_no_further_push(monkeypatch):
+    robot = Robot(monkeypatch, ("undecided", (), 0.4), ("undecided", (), 0.6))
+    assert (robot.push(5).wanted, actions(robot.push(5))) == (6, ["pushes on"])
+    repair = robot.push(6)
+    assert (repair.wanted, actions(repair), repair.question) == (6, ["pushes on", "goes on without"], None)
+    robot.push(7)
+    assert robot.asked == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "effects", "adopted"),
+    [
+        ("effect", ("force_latency",), ()),
+        ("ambiguous", ("loose_mass", "force_latency"), ()),
+        ("effect", ("table_tilt", "force_latency"), ("table_tilt",)),
+    ],
+)
+def test_what_only_the_force_sensor_does_is_not_adopted(monkeypatch, verdict, effects, adopted):
+    repair = Robot(monkeypatch, (verdict, effects)).push(5, alarm=True)
+    assert (repair.effects, actions(repair)) == (adopted, ["adopts" if adopted else "goes on without"])
 
 
 def test_an_effect_is_tried_against_the_one_that_it_replaced(monkeypatch):

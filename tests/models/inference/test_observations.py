@@ -1,5 +1,7 @@
 """Trials prepared for comparison, and the smoothing of finger tracks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,19 @@ def test_the_blow_of_the_first_touch_is_in_no_force_that_counts(rate):
         assert o.sliding.sum() > 5
         off = np.hypot(*(rollouts.forces_of(b)[0] - o.forces)[o.sliding].T)
         assert off.max() < 0.2 * np.hypot(*o.forces[o.sliding].T).mean(), b
+
+
+def test_the_force_of_an_accelerating_finger_does_not_ring_at_its_rows():
+    mass, mu, faster, width = 1.0, 0.3, 3.0, 0.1  # kg, 1, m/s², m
+    square = width * (np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) - 0.5)
+    grid = cells_from_polygon(square, count=16)
+    t = np.arange(31) * 0.01
+    still = np.zeros_like(t)
+    tip = np.column_stack([0.05 * t + 0.5 * faster * t**2 - width / 2 - 0.01 - 5e-4, still])
+    poses = Channel(t, np.zeros((len(t), 3)))
+    push = observe(Trial("a", "fit", poses, Channel(t, tip))).push
+    slider = Slider(grid, 0.01, smoothing=MEASURED_CONTACT)
+    push = replace(push, force_times=np.linspace(0.1, 0.28, 50))
+    maps = Maps(np.full(len(grid), mass / len(grid)), np.full(len(grid), mu), 0.3)
+    force = slider.rollout(maps, [push]).forces_of(0)[0]
+    np.testing.assert_allclose(force[:, 0], mass * (mu * 9.81 + faster), rtol=0.05)
