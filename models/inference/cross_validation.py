@@ -26,7 +26,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 _FOLDS = 8
 
 _SHARES = np.geomspace(1e-4, 1.0, 401)
-"""Values of ε, equally likely beforehand: between nothing that a camera could see, and the whole travel."""
+"""Values of ε, equally likely beforehand: from what no camera could see to the whole travel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,12 @@ class LeftOut:
     fold: NDArray[np.int64]  # (B,) index of the fit that a push was left out of
 
     def ends(self) -> tuple[FloatArray, FloatArray]:
-        """World poses (B, 3) at the end of each push, predicted by the fit that left it out, and the variances
-        (B, 3) of what that fit and the tracker leave open of them."""
+        """Ends of the pushes, each predicted by the fit that left it out.
+
+        Returns:
+            World poses (B, 3), m and rad, and the variances (B, 3) of what that fit and the tracker's view of
+            the start leave open of them.
+        """
         prior, observations = self.likelihood.prior, self.likelihood.observations
         maps = prior.maps(self.fits.z)
         ends, variances = np.empty((2, len(observations), 3))
@@ -95,11 +99,10 @@ def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[float]:
     ends, variances = left_out.ends()
     measured = np.array([observation.poses[-1] for observation in likelihood.observations])
     off = (ends - measured) * scale
-    floor = np.array([noise.position, noise.position, noise.angle])
-    open_ = (variances + floor**2) * scale**2
-    travel = [observation.travel(grid.centers)[-1] for observation in likelihood.observations]
-    travel = effective_travel(np.array(travel))
-    return [_share(off[:, part], open_[:, part], travel) for part in (slice(0, 2), slice(2, 3))]
+    open_ = (variances + noise.of_poses**2) * scale**2
+    travel = np.array([observation.travel(grid.centers)[-1] for observation in likelihood.observations])
+    parts = slice(0, 2), slice(2, 3)
+    return [_share(off[:, part], open_[:, part], effective_travel(travel)) for part in parts]
 
 
 def _share(off: FloatArray, variance: FloatArray, travel: FloatArray) -> float:

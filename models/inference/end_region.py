@@ -6,10 +6,11 @@ hypotheses, with the covariance of the hypotheses plus all other errors,
 
     (q - m)ᵀ C⁻¹ (q - m) ≤ c,    C = S (1 + 1/n) + diag(σ²) + diag(s²),
 
-where S is the spread of n effective hypotheses, σ the error of the tracker, and s that of the model. n draws determine their spread poorly, and a model is far off now and then: most pushes follow it, and
-those near balance do not. So the hypotheses count as Hotelling's, the model's error as Student's with few
-degrees of freedom; c has the degrees of freedom of the sum (Welch and Satterthwaite), which are almost
-unlimited where σ dominates. For a single number this is the usual interval.
+where S is the spread of n effective hypotheses, σ the error of the tracker, and s that of the model. n draws
+determine their spread poorly, and a model is far off now and then: most pushes follow it, and those near
+balance do not. So the spread counts as Hotelling's, and s as Student's with few degrees of freedom; c has the
+degrees of freedom of the sum (Welch and Satterthwaite), which are almost unlimited where σ dominates. For a
+single number this is the usual interval.
 """
 
 from __future__ import annotations
@@ -25,9 +26,8 @@ LEVEL = 0.95
 """Share of pushes that end inside if the model is right; those outside are called surprising."""
 
 MODEL_FREEDOM = 3.0
-"""Degrees of freedom of the model's error. On recorded pushes with thousands of ends 3 to 5 hold as many ends as
-they say; a normal distribution of the same size has 50 % regions that are too wide and 95 % regions that are
-too narrow."""
+"""Degrees of freedom of the model's error. With 3 or 4, the regions of recorded pushes hold as many ends as
+they say; those of a normal error are too wide for 50 % and too narrow for 95 %."""
 
 MOST_FREEDOM = 1e6  # degrees of freedom; practically unlimited
 _LEAST_FREEDOM = 1.0

@@ -278,14 +278,15 @@ def model_deviations(belief: Belief, start: FloatArray, ends: FloatArray) -> Flo
 
 
 def effective_travel(travel: FloatArray) -> FloatArray:
-    """Travel that a model's error is in proportion to, m: even an object that hardly moves is off by a little,
-    because the finger touches it elsewhere or later than modelled."""
+    """Travel that a model's error is in proportion to, m.
+
+    Even an object that hardly moves is off by a little, because the finger touches it elsewhere or later than
+    modelled.
+    """
     return np.hypot(travel, _LEAST_TRAVEL)
 
 
-def _from_other_starts(
-    belief: Belief, observations: Sequence[Observation], noise: SensorNoise
-) -> FloatArray:
+def _from_other_starts(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
     """(K, B, 3) ends of the hypotheses, each from starts that the tracker would see as the measured ones.
 
     A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.

@@ -44,9 +44,13 @@ def test_each_push_is_left_out_of_one_fit(likelihood: Likelihood, left_out: Left
     assert np.hypot(*(ends - measured)[:, :2].T).max() < 0.01
 
 
-def test_variances_are_those_of_ends_under_maps_that_the_other_pushes_leave_open(left_out: LeftOut) -> None:
+@pytest.mark.parametrize("noisier", [0.1, 10.0])
+def test_variances_are_those_of_ends_under_maps_and_starts_that_the_other_pushes_leave_open(
+    left_out: LeftOut, monkeypatch: pytest.MonkeyPatch, noisier: float
+) -> None:
     """Maps and starts drawn as the Hessian and the tracker allow, a tenth as far, so that ends are linear."""
     likelihood, rng = left_out.likelihood, np.random.default_rng(2)
+    monkeypatch.setattr(likelihood, "start_sigma", noisier * likelihood.start_sigma)
     prior, shrunk = likelihood.prior, 0.1
     ends, variances = left_out.ends()
     for b in (0, 3):
