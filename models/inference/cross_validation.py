@@ -2,27 +2,31 @@
 
 The error on a fitted push understates the model's error: with few pushes and many map coordinates, the fit
 follows each of them. So the pushes are split into folds, and the model is refitted without each fold,
-starting from the best fit to all. Its errors on the left-out pushes show how far off predicted ends will be.
+starting from the best fit to all. An end of a left-out push is off by what the refit leaves open, with the
+variance V = J (I + H)⁻¹ Jᵀ, by the sensors' noise, and by the model's error, of which a share ε of the travel
+is Student's. Only ε is unknown: its distribution, given how far off all ends are, is computed on a grid.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import gammaln
 
 from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.end_region import MODEL_FREEDOM, MOST_FREEDOM
 from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
-from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import Motion
+from slipmap.models.inference.prediction import effective_travel
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOLDS = 8
+
+_SHARES = np.geomspace(1e-4, 1.0, 401)
+"""Values of ε, equally likely beforehand: from what no camera could see to the whole travel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +37,28 @@ class LeftOut:
     fits: Fits  # one for each fold
     fold: NDArray[np.int64]  # (B,) index of the fit that a push was left out of
 
-    def ends(self) -> FloatArray:
-        """(B, 3) world poses at the end of each push, predicted by the fit that left it out."""
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Ends of the pushes, each predicted by the fit that left it out.
+
+        Returns:
+            World poses (B, 3), m and rad, and the variances (B, 3) of what that fit and the tracker's view of
+            the start leave open of them.
+        """
         prior, observations = self.likelihood.prior, self.likelihood.observations
         maps = prior.maps(self.fits.z)
-        ends = np.empty((len(observations), 3))
+        ends, variances = np.empty((2, len(observations), 3))
         for k in range(len(maps)):
             own = np.flatnonzero(self.fold == k).tolist()
             pushes = [observations[b].push for b in own]
-            ends[own] = prior.slider.rollout(maps[k : k + 1], pushes).end[0, :, :3]
-        return ends
+            rollouts = prior.slider.rollout(maps[k : k + 1], pushes, sensitivities=True)
+            ends[own] = rollouts.end[0, :, :3]
+            left = np.linalg.inv(self.fits.hessian[k] + np.eye(prior.size))
+            for place, b in enumerate(own):
+                slopes = prior.chain(maps[k : k + 1], rollouts.d_poses_of(place)[:, -1])[0]
+                by_maps, by_start = slopes[:, : prior.size], slopes[:, prior.size :]
+                started = (by_start * self.likelihood.start_sigma[b]) ** 2
+                variances[b] = ((by_maps @ left) * by_maps).sum(axis=1) + started.sum(axis=1)
+        return ends, variances
 
 
 def leave_out(likelihood: Likelihood, best: Fits) -> LeftOut:
@@ -66,31 +82,38 @@ def leave_out(likelihood: Likelihood, best: Fits) -> LeftOut:
     return LeftOut(likelihood, fits, fold)
 
 
-def end_errors(
-    left_out: LeftOut, observations: Sequence[Observation], motions: Sequence[Motion], noise: SensorNoise
-) -> list[float]:
-    """Errors of predicted ends beyond sensor noise and the spread of hypotheses, as shares of the travel.
+def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[float]:
+    """Errors of predicted ends beyond sensor noise and what the pushes leave open, as shares of the travel.
 
     Args:
         left_out: fits without each fold.
-        observations: the pushes.
-        motions: the belief's predictions of them.
         noise: of the sensors.
 
     Returns:
-        Standard deviations of x and y, and of ρ θ, where ρ is the cells' radius of gyration: root mean
-        squares over the pushes, widened so that a normal 90 % interval is as wide as Student's.
+        Standard deviations of x and y, and of ρ θ, where ρ is the cells' radius of gyration, as shares of
+        `prediction.effective_travel`: medians of what is known of them.
     """
-    grid = left_out.likelihood.prior.slider.grid
-    radius = radius_of_gyration(grid)
-    floor = np.array([noise.position, noise.position, radius * noise.angle])
-    squares = []
-    for observation, motion, end in zip(observations, motions, left_out.ends(), strict=True):
-        off = (end - observation.poses[-1]) * [1.0, 1.0, radius]
-        ends, p = motion.poses[:, -1] * [1.0, 1.0, radius], motion.probability
-        scatter = p @ (ends - p @ ends) ** 2
-        travel = max(float(observation.travel(grid.centers)[-1]), 1e-3)
-        squares.append((off**2 - floor**2 - scatter) / travel**2)
-    widened = (stdtrit(len(squares), 0.95) / ndtri(0.95)) ** 2
-    place, place_too, turn = np.mean(squares, axis=0) * widened
-    return [float(np.sqrt(max(value, 0.0))) for value in (0.5 * (place + place_too), turn)]
+    likelihood = left_out.likelihood
+    grid = likelihood.prior.slider.grid
+    scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
+    ends, variances = left_out.ends()
+    measured = np.array([observation.poses[-1] for observation in likelihood.observations])
+    off = (ends - measured) * scale
+    open_ = (variances + noise.of_poses**2) * scale**2
+    travel = np.array([observation.travel(grid.centers)[-1] for observation in likelihood.observations])
+    parts = slice(0, 2), slice(2, 3)
+    return [_share(off[:, part], open_[:, part], effective_travel(travel)) for part in parts]
+
+
+def _share(off: FloatArray, variance: FloatArray, travel: FloatArray) -> float:
+    """Median of ε, from errors (B, m), their variances (B, m) without ε, and travels (B,)."""
+    of_model = (_SHARES * travel[:, None, None]) ** 2
+    total = variance[..., None] + of_model
+    # The sum of a normal and a Student's error as in `EndRegion`.
+    freedom = np.minimum(MODEL_FREEDOM * (total / of_model) ** 2, MOST_FREEDOM)
+    spread = (freedom - 2.0) * total
+    density = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(spread)
+    density -= 0.5 * (freedom + 1.0) * np.log1p(off[..., None] ** 2 / spread)
+    log = density.sum(axis=(0, 1))
+    below = np.cumsum(np.exp(log - log.max()))
+    return float(_SHARES[np.searchsorted(below, 0.5 * below[-1])])

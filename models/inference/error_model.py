@@ -38,6 +38,11 @@ class SensorNoise:
     # whether the dataset declares it; otherwise it was estimated from the scatter of neighbouring rows
     declared: bool
 
+    @property
+    def of_poses(self) -> FloatArray:
+        """(3,) of x, y and θ."""
+        return np.array([self.position, self.position, self.angle])
+
 
 @dataclass(frozen=True)
 class ErrorModel:

@@ -146,9 +146,8 @@ def learn(
     belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     motions = predicted_motion(belief, observations)
-    taught = [motion for motion, o in zip(motions, observations, strict=True) if o.role == "fit"]
     left_out = leave_out(every[0].likelihood, every[0].best)
-    told = {**belief.settings, END_ERRORS: end_errors(left_out, fitted, taught, noise)}
+    told = {**belief.settings, END_ERRORS: end_errors(left_out, noise)}
     belief = replace(belief, settings=told)
     predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
     likelihood, information = every[0].likelihood, every[0].best

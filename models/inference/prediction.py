@@ -19,13 +19,16 @@ from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import SensorNoise, sensor_noise
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.push_errors import Errors, errors, resting_errors
-from slipmap.models.inference.summaries import interval, middle_poses
+from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.pushes import Push
 from slipmap.models.progress import Progress, silent
+
+_LEAST_TRAVEL = 5e-3  # m
+_STARTS = 20251126  # seed of the starts of `Prediction.end_region`
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,12 +236,16 @@ def predict_observations(
     likeliest = belief.maps[best : best + 1]
     shift = 5e-4  # m, sideways shift of the start that shows how near balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
+    drawn, seen = _from_other_starts(belief, observations, noise), noise.of_poses
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         middle = motion.middle_poses
         ends, p = motion.poses[:, -1], motion.probability
-        sigma = end_deviations(belief, observation.push.start_pose, ends, noise)
-        alone = [interval(ends[:, i], p, more=float(sigma[i]))[1:] for i in range(3)]
+        off = model_deviations(belief, observation.push.start_pose, ends)
+        alone = [
+            EndRegion.of(drawn[:, b, i : i + 1], p, seen[i : i + 1], off[i : i + 1]).interval(0.9)
+            for i in range(3)
+        ]
         likely = motion.likeliest_poses[-1]
         even = uniform[b]
         results.append(
@@ -251,25 +258,46 @@ def predict_observations(
                 spread=float(p @ add(ends, middle[-1], grid.centers)),
                 start_sensitivity=float(np.mean([add(s[b], likely, grid.centers) for s in shifted]) / shift),
                 end_interval=np.array(alone).T,
-                end_region=EndRegion.of(ends, p, sigma),
+                end_region=EndRegion.of(drawn[:, b], p, seen, off),
             )
         )
     report("predicting", 3, 3)
     return tuple(results)
 
 
-def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: SensorNoise) -> FloatArray:
-    """(3,) standard deviations of x, y, θ of a measured end beyond the spread of the hypotheses: model error
-    over this travel, and tracker noise.
+def model_deviations(belief: Belief, start: FloatArray, ends: FloatArray) -> FloatArray:
+    """(3,) standard deviations of x, y, θ of an end because of the model's error over this travel.
 
     Args:
         belief: what was learned.
         start: (3,) pose before the push.
         ends: (K, 3) where its hypotheses end.
-        noise: of the sensors.
     """
     travel = belief.probability @ add(ends, start, belief.grid.centers)
-    return np.hypot(travel * belief.end_errors, [noise.position, noise.position, noise.angle])
+    return effective_travel(travel) * belief.end_errors
+
+
+def effective_travel(travel: FloatArray) -> FloatArray:
+    """Travel that a model's error is in proportion to, m.
+
+    Even an object that hardly moves is off by a little, because the finger touches it elsewhere or later than
+    modelled.
+    """
+    return np.hypot(travel, _LEAST_TRAVEL)
+
+
+def _from_other_starts(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
+    """(K, B, 3) ends of the hypotheses, each from starts that the tracker would see as the measured ones.
+
+    A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.
+    """
+    p = belief.probability
+    offsets = np.random.default_rng(_STARTS).standard_normal((len(p), len(observations), 3))
+    offsets = (offsets - np.einsum("k,kbi->bi", p, offsets)) * noise.of_poses
+    offsets /= np.sqrt([observation.start_rows for observation in observations])[:, None]
+    starts = np.array([observation.push.start_pose for observation in observations])
+    pushes = [observation.push for observation in observations]
+    return belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
 
 
 def uniform_maps(belief: Belief) -> Maps:

@@ -18,7 +18,7 @@ from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import end_deviations
+from slipmap.models.inference.prediction import model_deviations
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
@@ -124,11 +124,11 @@ def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, err
         error: noise of the poses, and α.
     """
     if END_ERRORS in belief.settings:
-        sigma = end_deviations(belief, start, predicted, error.noise)
-    else:
-        push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-        seen = observation_of(push, (belief.probability @ predicted)[None])
-        sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]
+        off = model_deviations(belief, start, predicted)
+        return EndRegion.of(predicted, belief.probability, error.noise.of_poses, off)
+    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
+    seen = observation_of(push, (belief.probability @ predicted)[None])
+    sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]
     return EndRegion.of(predicted, belief.probability, sigma)
 
 

@@ -17,7 +17,7 @@ from slipmap.diagrams.systems.multiverse_slider import Universes, placed
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel
-from slipmap.models.inference.prediction import end_deviations
+from slipmap.models.inference.prediction import model_deviations
 from slipmap.models.inference.push_misfit import pose_noise, resting_misfit, resting_region
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise
@@ -228,8 +228,8 @@ def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors
     assert not resting_region(told.start, poses, belief, error).holds(elsewhere)
     region = resting_region(told.start, poses, learned, error)
     assert region.holds(elsewhere)
-    sigma = end_deviations(learned, told.start, poses, error.noise)
-    same = EndRegion.of(poses, belief.probability, sigma)
+    off = model_deviations(learned, told.start, poses)
+    same = EndRegion.of(poses, belief.probability, error.noise.of_poses, off)
     assert np.allclose(region.covariance, same.covariance)
 
 

@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import norm, t
 
 from slipmap.models.inference.cross_validation import LeftOut, end_errors, leave_out
+from slipmap.models.inference.end_region import MODEL_FREEDOM
 from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import effective_travel
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -25,34 +27,78 @@ def likelihood(recorded) -> Likelihood:  # type: ignore[no-untyped-def]
     return Likelihood(prior, observe_all(dataset, dataset.fit_trials), dataset.noise, trusting(0.005))
 
 
-def test_each_push_is_left_out_of_one_fit(likelihood: Likelihood) -> None:
+@pytest.fixture(scope="module")
+def left_out(likelihood: Likelihood) -> LeftOut:
+    return leave_out(likelihood, fit(likelihood, likelihood.prior.start(0.35)[None]).best())
+
+
+def test_each_push_is_left_out_of_one_fit(likelihood: Likelihood, left_out: LeftOut) -> None:
     best = fit(likelihood, likelihood.prior.start(0.35)[None]).best()
-    found = leave_out(likelihood, best)
     B = len(likelihood.observations)
-    assert len(found.fold) == B and set(found.fold) == set(range(len(found.fits.z)))
-    own = found.fits.push_cost[found.fold, np.arange(B)]
+    assert len(left_out.fold) == B and set(left_out.fold) == set(range(len(left_out.fits.z)))
+    own = left_out.fits.push_cost[left_out.fold, np.arange(B)]
     # Pushes left out are predicted worse than those that teach, all in all, and not wildly.
     assert best.push_cost.sum() < own.sum() < 50 * best.push_cost.sum()
-    ends = found.ends()
+    ends, _ = left_out.ends()
     measured = np.array([o.poses[-1] for o in likelihood.observations])
     assert np.hypot(*(ends - measured)[:, :2].T).max() < 0.01
 
 
-def test_errors_are_those_beyond_sensors_and_scatter_widened_as_students(monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    """Four pushes that end off by 3 % of their way of 0.1 m, half of it known to the hypotheses."""
-    off = 3e-3
-    grid = SimpleNamespace(centers=np.array([[-0.05, 0.0], [0.05, 0.0]]), width=0.1)
-    likelihood: Any = SimpleNamespace(prior=SimpleNamespace(slider=SimpleNamespace(grid=grid)))
-    measured = np.zeros(3)
-    observations: Any = [
-        SimpleNamespace(poses=measured[None], travel=lambda centers: np.array([0.1])) for _ in range(4)
+@pytest.mark.parametrize("noisier", [0.1, 10.0])
+def test_variances_are_those_of_ends_under_maps_and_starts_that_the_other_pushes_leave_open(
+    left_out: LeftOut, monkeypatch: pytest.MonkeyPatch, noisier: float
+) -> None:
+    """Maps and starts drawn as the Hessian and the tracker allow, a tenth as far, so that ends are linear."""
+    likelihood, rng = left_out.likelihood, np.random.default_rng(2)
+    monkeypatch.setattr(likelihood, "start_sigma", noisier * likelihood.start_sigma)
+    prior, shrunk = likelihood.prior, 0.1
+    ends, variances = left_out.ends()
+    for b in (0, 3):
+        k = int(left_out.fold[b])
+        root = np.linalg.cholesky(np.linalg.inv(left_out.fits.hessian[k] + np.eye(prior.size)))
+        z = left_out.fits.z[k] + shrunk * rng.standard_normal((600, prior.size)) @ root.T
+        push = likelihood.observations[b].push
+        starts = push.start_pose + shrunk * likelihood.start_sigma[b] * rng.standard_normal((600, 1, 3))
+        drawn = prior.slider.rollout(prior.maps(z), [push], start_poses=starts).end[:, 0, :3]
+        assert drawn.std(axis=0) / shrunk == pytest.approx(np.sqrt(variances[b]), rel=0.15)
+        assert drawn.mean(axis=0) == pytest.approx(ends[b], abs=3e-4)
+
+
+def known(off: FloatArray, variance: float, travel: FloatArray) -> LeftOut:
+    """Pushes that end off by some (B, 3) m on average, after some travel (B,), with a variance of x, y, θ."""
+    grid = SimpleNamespace(centers=np.array([[-1.0, 0.0], [1.0, 0.0]]), width=0.1)
+    observations = [
+        SimpleNamespace(poses=np.zeros((1, 3)), travel=lambda centers, way=way: np.array([way]))
+        for way in travel
     ]
-    spread = np.sqrt(0.5) * off
-    poses = np.array([[[-spread, -spread, 0.0]], [[spread, spread, 0.0]]])
-    motions: Any = [SimpleNamespace(poses=poses, probability=np.array([0.5, 0.5])) for _ in range(4)]
-    left_out = LeftOut(likelihood, None, np.arange(4))  # type: ignore[arg-type]
-    monkeypatch.setattr(LeftOut, "ends", lambda self: np.tile([off, -off, 0.0], (4, 1)))
-    place, turn = end_errors(left_out, observations, motions, SensorNoise(0.0, 0.0, 0.0, True))
-    widened = t.ppf(0.95, 4) / norm.ppf(0.95)
-    assert place == pytest.approx(widened * np.sqrt(0.5) * off / 0.1)
-    assert turn == 0.0
+    likelihood: Any = SimpleNamespace(
+        prior=SimpleNamespace(slider=SimpleNamespace(grid=grid)), observations=observations
+    )
+    found = LeftOut(likelihood, None, np.arange(len(off)))  # type: ignore[arg-type]
+    object.__setattr__(found, "ends", lambda: (off, np.full(off.shape, variance)))
+    return found
+
+
+@pytest.mark.parametrize("variance", [(1e-3) ** 2, (4e-3) ** 2])
+def test_what_the_other_pushes_leave_open_is_no_error_of_the_model(variance: float) -> None:
+    """Six pushes over 0.1 m that end off by no more than fits to the other five allow."""
+    rng = np.random.default_rng(0)
+    shares = []
+    for _ in range(40):
+        off = np.sqrt(variance) * rng.standard_normal((6, 3))
+        left_out = known(off, variance, np.full(6, 0.1))
+        shares.append(end_errors(left_out, SensorNoise(1e-4, 1e-4, 0.0, True))[0])
+    assert np.median(shares) < 0.2 * np.sqrt(variance) / 0.1
+    assert min(shares) > 0.0
+
+
+def test_a_share_of_the_travel_is_found_and_a_push_far_off_does_not_hide_it() -> None:
+    rng = np.random.default_rng(1)
+    share, travel = 0.05, rng.uniform(0.0, 0.1, 200)
+    errors = rng.standard_t(MODEL_FREEDOM, (200, 3)) * share * effective_travel(travel)[:, None]
+    deviation = share * np.sqrt(MODEL_FREEDOM / (MODEL_FREEDOM - 2.0))
+    told = end_errors(known(errors, 1e-8, travel), SensorNoise(1e-4, 1e-4, 0.0, True))
+    assert told[0] == pytest.approx(deviation, rel=0.15)
+    errors[0] = 1.0
+    wilder = end_errors(known(errors, 1e-8, travel), SensorNoise(1e-4, 1e-4, 0.0, True))
+    assert wilder[0] == pytest.approx(told[0], rel=0.1)

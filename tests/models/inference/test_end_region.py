@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 import slipmap
-from slipmap.models.inference.end_region import EndRegion
-from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.end_region import MODEL_FREEDOM, EndRegion
+from slipmap.models.inference.error_model import SensorNoise, sensor_noise
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import predict_observations
+from slipmap.models.inference.push_misfit import observation_of
+from slipmap.planners.exploration import candidate_pushes
 
 SIGMA = np.array([1e-3, 2e-3, 0.02])
 LEANING = np.array([[2e-3, 1e-3, 0.05], [0.0, 1e-3, -0.02], [0.0, 0.0, 0.01]])
@@ -30,6 +35,29 @@ def test_of_ends_as_told_as_many_lie_inside_as_the_level_says(hypotheses: int, o
         end = spread[:, 0] + noise * rng.normal(size=3)
         inside += [region.holds(end, level) for level in (0.5, 0.9, 0.95)]
     assert inside / count == pytest.approx([0.5, 0.9, 0.95], abs=0.04)
+
+
+@pytest.mark.parametrize(("model", "noise"), [(1.0, 0.0), (1.0, 0.7), (0.2, 1.0)])
+def test_a_model_that_is_now_and_then_far_off_is_outside_as_often_as_the_level_says(
+    model: float, noise: float
+) -> None:
+    """The error has Student's distribution in every direction, and the tracker's noise comes on top."""
+    rng = np.random.default_rng(6)
+    count, sigma = 6000, max(noise, 1e-3) * SIGMA
+    off = model * SIGMA * rng.normal(size=(count, 3))
+    off /= np.sqrt(rng.chisquare(MODEL_FREEDOM, (count, 1)) / MODEL_FREEDOM)
+    deviation = model * SIGMA * np.sqrt(MODEL_FREEDOM / (MODEL_FREEDOM - 2.0))
+    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), sigma, deviation)
+    rarity = np.array([region.rarity(end) for end in off + sigma * rng.normal(size=(count, 3))])
+    inside = [(rarity >= 1.0 - level).mean() for level in (0.5, 0.9, 0.95)]
+    assert inside == pytest.approx([0.5, 0.9, 0.95], abs=0.05)
+
+
+def test_the_interval_of_one_number_is_students() -> None:
+    draws = np.random.default_rng(7).normal(size=(12, 1))
+    low, high = EndRegion.of(draws, np.full(12, 1 / 12), np.zeros(1)).interval(0.9)
+    half = t.ppf(0.95, 11) * draws.std(ddof=1) * np.sqrt(1 + 1 / 12)
+    assert (low, high) == pytest.approx((draws.mean() - half, draws.mean() + half))
 
 
 def test_three_intervals_of_ninety_percent_would_surprise_more_often() -> None:
@@ -70,3 +98,29 @@ def test_a_push_that_ends_elsewhere_surprises_and_one_as_predicted_does_not() ->
     turned = replace(seen[-1], poses=seen[-1].poses + np.array([0.0, 0.0, 2 * np.pi]))
     (push,) = predict_observations(belief, [turned], noise)
     assert not push.surprising, "a whole turn more is none"
+
+
+def test_where_a_push_near_balance_may_end_includes_starts_that_look_the_same(recorded: Any) -> None:
+    """Ends from starts within the tracker's noise; the hypotheses are sure, and their ends alone hold few."""
+    rng = np.random.default_rng(8)
+    noise = SensorNoise(5e-4, 5e-3, 0.0, True)
+    maps = recorded.truth[np.zeros(20, dtype=int)]
+    sure = Belief.learned(
+        recorded.dataset, recorded.slider, maps, np.full(20, 0.05), method="", seed=0, trials=[], settings={}
+    )  # fmt: skip
+    pushes = [
+        candidate.push([0.0, 0.0, 0.0])
+        for candidate in candidate_pushes(sure.grid, 0.006, rng, 60, length=(0.08, 0.1))
+    ]
+    pushes = [replace(push, pose_times=np.array([push.h * (len(push.tip) - 1)])) for push in pushes]
+    seen = [observation_of(push, np.zeros((1, 3))) for push in pushes]
+    push = max(predict_observations(sure, seen, noise), key=lambda push: push.start_sensitivity)
+    starts = noise.of_poses * rng.standard_normal((400, 1, 3))
+    many = recorded.truth[np.zeros(400, dtype=int)]
+    ends = recorded.slider.rollout(many, [push.observation.push], start_poses=starts).end[:, 0, :3]
+    ends += noise.of_poses * rng.standard_normal((400, 3))
+    alone = EndRegion.of(push.hypotheses[:, -1], sure.probability, noise.of_poses)
+    assert np.mean([alone.holds(end, 0.9) for end in ends]) < 0.5
+    assert np.mean([push.end_region.holds(end, 0.9) for end in ends]) == pytest.approx(0.9, abs=0.08)
+    inside = (push.end_interval[0] < ends) & (ends < push.end_interval[1])
+    assert inside.mean() == pytest.approx(0.9, abs=0.08)
