@@ -1,10 +1,12 @@
-"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER`.
+"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND ...]`.
 
-Each runs to its end twice, the first time to compile its kernels, and then again and again, ended by SIGINT
-and SIGKILL at ten moments of the second run's time. Said is what is wrong then: another exit code than 130
-(or that of the whole run, where the signal came too late, or where Ctrl-C is how the command ends), a
-traceback, a process left behind, a file that is not whole or has no place beside the others, and whether the
-same command, or `--resume`, goes on afterwards.
+Each command runs to its end twice, first to compile its kernels, then to write down what it does: the modules
+that it loads, the lines on standard error, and each time that it opens a file for writing, makes, renames or
+removes one. At ten of these events it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another
+exit code than 130 (or that of the whole run, where the signal came too late, or where Ctrl-C is how the
+command ends), a traceback, a process left behind, a file that is not whole, results that lack some,
+temporary files that Ctrl-C leaves or that the next command does not remove, and whether the same command, or
+`--resume`, goes on afterwards.
 """
 
 from __future__ import annotations
@@ -18,8 +20,9 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 import trimesh
@@ -27,63 +30,153 @@ import yaml
 
 import slipmap
 from slipmap.diagrams.hardware.mcap_log import McapLog
+from slipmap.models.files import PART, write_json
 from slipmap.models.measurements import write_dataset
 from tests.hardware.made_up_cell import MadeUpCell
 from tests.models.measurements.importing.lab_session import lab_session
 
 MARK = "SLIPMAP_KILL_STUDY"
 """Environment variable by which processes that a command left behind are known."""
+PLAN = "SLIPMAP_KILL_PLAN"
+"""Environment variable with the event at which a command ends itself; only its first process reads it."""
+HOOK = """
+import json, os, sys
+
+def watch(plan):
+    me, own, counts = os.getpid(), [False], {}
+    log = os.open(plan["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    write = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+    changing = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink")
+
+    def hook(event, args):
+        if event == "import":
+            own[0] = own[0] or args[0] == "slipmap.diagrams"  # before, Python is being loaded
+            kind, what = "import", args[0]
+        elif event in changing or event == "open" and isinstance(args[2], int) and args[2] & write:
+            kind, what = "file", str(args[0])
+            if what.startswith("/") and not what.startswith(tuple(plan["under"])):
+                return
+        else:
+            return
+        if not own[0] or os.getpid() != me:
+            return
+        counts[kind] = counts.get(kind, 0) + 1
+        if [kind, counts[kind]] == plan["event"]:
+            os.write(log, b"signal\\n")
+            os.kill(me, plan["signal"])
+        elif not plan["event"]:
+            os.write(log, f"{kind} {event} {what}\\n".encode())
+
+    sys.addaudithook(hook)
+
+if "SLIPMAP_KILL_PLAN" in os.environ:
+    watch(json.loads(os.environ.pop("SLIPMAP_KILL_PLAN")))
+"""
 SMALL = "camera: {width: 480, height_pixels: 360, rate: 5.0}\nsimulation: {time_step: 0.005}\n"
+COARSE = """
+from slipmap.diagrams.application.audit.engine import CoulombEngine
+
+class Coarse(CoulombEngine):
+    dt = 4e-3
+"""
+SENDER = """
+import sys, time
+from pathlib import Path
+from pydrake.lcm import DrakeLcm
+from slipmap.diagrams.hardware.mcap_log import McapReader
+
+with open(sys.argv[1], "rb") as file:
+    events = list(McapReader(file, "log"))
+while not Path(sys.argv[3]).exists():
+    time.sleep(0.1)
+time.sleep(2.0)
+lcm, begin = DrakeLcm(sys.argv[2]), time.monotonic()
+for event in events:
+    time.sleep(max(begin + 1e-6 * (event.utime - events[0].utime) - time.monotonic(), 0.0))
+    lcm.Publish(event.channel, event.data)
+"""
+RECORDED = "udpm://239.255.76.98:7698?ttl=0"
+PATIENCE = 10.0  # s from the signal to the end of the command
 
 
 @dataclass(frozen=True)
 class Case:
-    """A command, and how it goes on."""
+    """A command, how it goes on, and what it leaves on purpose."""
 
     words: str  # after `slipmap`; {out} is the folder that it writes to, {data} that of its input
     again: str | None = None  # what goes on with it; itself unless given, where it may be repeated
-    served: bool = False  # whether Ctrl-C is how it ends, so that it is well
-    seconds: float = 8.0  # that it is left alone for, where it ends by Ctrl-C alone
+    until: str = ""  # what it says a second before Ctrl-C ends a whole run, where it ends by that alone
+    steps: tuple[str, ...] = ()  # patterns of files that appear one by one; others appear together
+    heard: bool = False  # whether messages of an arm and a camera come while it runs
 
 
 CASES = {
-    "doctor": Case("doctor"),
-    "demo": Case("demo -o {out}/demo"),
+    "doctor": Case("doctor --json {out}/doctor.json"),
+    "demo": Case("demo -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)),
+    "example": Case("example -o {out}/pushes"),
     "explore": Case(
-        "explore --scenario {data}/cell.yaml --pushes 2 --checks 0 --out {out}/run --json {out}/run/r.json"
+        "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
         " --record {out}/run/run.html",
         again="explore --resume {out}/run",
+        steps=("run/pushes/*", "run/run.json", "run/run.html", "run/*.yaml", "run/*.npz", "run/*.jpg"),
     ),
-    "pregrasp": Case("pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run"),
-    "station": Case("station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0", served=True),
+    "pregrasp": Case(
+        "pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run --json {out}/run/r.json",
+        steps=("run/pushes/*", "run/run.json"),
+    ),
+    "station": Case(
+        "station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0", until="running"
+    ),
     "record": Case(
-        "record --lcm udpm://239.255.76.97:7698?ttl=0 -o {out}/pushes --log {out}/log.mcap", served=True
+        f"record --lcm {RECORDED} --scenario {{data}}/made_up.yaml -o {{out}}/pushes --log {{out}}/log.mcap",
+        until="is kept", steps=("*",), heard=True,
     ),
-    "replay": Case("replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"),
+    "replay": Case(
+        "replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"
+        " --json {out}/replay/r.json",
+        steps=("replay/pushes/*",),
+    ),
     "object": Case("object {data}/ring.stl -o {out}/ring.yaml --finger 0.008"),
     "import": Case(
         "import {data}/take_001.csv {data}/robot.log {data}/force.csv --setup {data}/setup.yaml -o"
-        " {out}/pushes"
+        " {out}/pushes",
+        steps=("pushes.png",),
     ),
     "check": Case("check {data}/pushes -o {out}/check.html --json {out}/check.json"),
-    "identify": Case("identify {data}/pushes -o {out}/belief.npz --json {out}/belief.json"),
+    "identify": Case("identify {data}/pushes --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"),
     "predict": Case("predict {data}/pushes --belief {data}/belief.npz -o {out}/p.png --json {out}/p.json"),
     "view": Case("view {data}/belief.npz --html {out}/view.html"),
     "compare": Case("compare {data}/pushes --belief {data}/belief.npz -o {out}/c.html --json {out}/c.json"),
     "diagnose": Case("diagnose {data}/pushes --quick -o {out}/d.html --json {out}/d.json"),
-    "fit": Case("fit {data}/pushes --effect table_tilt -o {out}/fit.npz --json {out}/fit.json"),
+    "fit": Case(
+        "fit {data}/pushes --effect table_tilt --hypotheses 4 -o {out}/fit.npz --json {out}/fit.json"
+    ),
     "effects": Case("effects table_tilt --picture {out}/tilt.png --json {out}/tilt.json"),
     "export": Case("export {data}/belief.npz --to sdf -o {out}/sdf"),
-    "calibrate": Case("calibrate --objects 2 -o {out}/cal.png --json {out}/cal.json"),
+    "calibrate": Case("calibrate --objects 1 -o {out}/cal.png --json {out}/cal.json"),
     "explore-study": Case(
-        "explore-study --object hammer --runs 1 --pushes 1 --checks 1 -o {out}/study --json {out}/study.json"
+        "explore-study --object hammer --runs 1 --pushes 1 --checks 1 -o {out}/study --json {out}/study.json",
+        steps=("study/*",),
     ),
-    "campaign": Case("campaign fig4 --objects hammer --trials 2 -o {out}/campaign --json {out}/c.json"),
-    "blind-test": Case("blind-test --count 1 -o {out}/blind"),
-    "audit": Case("audit drake -o {out}/audit.html --json {out}/audit.json"),
+    "campaign": Case(
+        "campaign fig4 --objects hammer --trials 1 --workers 2 -o {out}/campaign --json {out}/c.json",
+        steps=("campaign/*/*",),
+    ),
+    "blind-test": Case("blind-test --count 1 -o {out}/blind", steps=("blind/blind-*",)),
+    "audit": Case("audit {data}/engine.py:Coarse -o {out}/audit.html --json {out}/audit.json"),
     "bench": Case("bench --json {out}/bench.json"),
     "completion": Case("completion bash"),
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a command is ended: at an event of its own, or some time after a line on standard error."""
+
+    kind: str  # `import`, `file` or `line`
+    number: int  # of the event of this kind, from 1
+    what: str  # the event in words
+    after: float = 0.0  # s
 
 
 def main() -> None:
@@ -93,112 +186,210 @@ def main() -> None:
     reader.add_argument("commands", nargs="*", metavar="COMMAND", default=list(CASES))
     reader.add_argument("--moments", type=int, default=10)
     asked = reader.parse_args()
-    data = made_data(asked.folder / "data")
+    folder = asked.folder.resolve()
+    data = made_data(folder / "data")
+    hook = folder / "hook"
+    hook.mkdir(exist_ok=True)
+    (hook / "sitecustomize.py").write_text(HOOK)
     for name in asked.commands:
-        out, case, faults, stopped = asked.folder / "out" / name, CASES[name], 0, 0
+        Study(name, folder, data, asked.moments).run()
 
-        def complain(text: str) -> None:
-            nonlocal faults
-            faults += 1
-            print(f"    {text}", flush=True)
 
+class Study:
+    """A command, ended again and again."""
+
+    def __init__(self, name: str, folder: Path, data: Path, moments: int) -> None:
+        self.name, self.case, self.data, self.moments = name, CASES[name], data, moments
+        self.out, self.hook = folder / "out" / name, folder / "hook"
+        self.scratch, self.errors, self.log = (
+            folder / "out" / f"{name}.{end}" for end in ("tmp", "err", "log")
+        )
+        self.faults = self.stopped = 0
+        self.sender: subprocess.Popen[bytes] | None = None
+
+    def run(self) -> None:
+        """Say what is wrong."""
         for _ in range(2):
-            fresh(out)
-            seconds, whole = whole_run(case, out, data)
-        print(f"{name}: {seconds:.1f} s", flush=True)
-        if whole:
-            complain(f"the whole run ends with {whole}")
+            self.fresh()
+            begin = time.monotonic()
+            process = self.started(self.case.words, "whole", [], 0)
+            if self.case.until:
+                while process.poll() is None and not self.told():
+                    time.sleep(0.1)
+                time.sleep(1.0)
+                process.send_signal(signal.SIGINT)
+            self.whole = self.finished(process)
+            self.seconds = time.monotonic() - begin
+        self.complete = set(self.together())
+        moments = self.chosen(self.log.read_text().splitlines(), self.said())
+        print(
+            f"{self.name}: {self.seconds:.1f} s, results: {', '.join(sorted(self.complete)) or 'none'}",
+            flush=True,
+        )
+        if self.whole:
+            self.complain("a whole run", f"ends with {self.whole}: {self.said()[-1:]}")
         for number in (signal.SIGINT, signal.SIGKILL):
-            for moment in range(asked.moments):
-                fresh(out)
-                ended = End(case, out, data, number, (moment + 0.5) / asked.moments * seconds)
-                stopped += ended.signalled
-                for text in ended.complaints(whole):
-                    complain(f"{number.name} at {ended.moment:.1f} s: {text}")
-        for text in goes_on(case, out, data):
-            complain(text)
-        print(f"{name}: {stopped} of {2 * asked.moments} were stopped, {faults} complaints", flush=True)
+            for index, moment in enumerate(moments):
+                self.fresh()
+                for text in self.ended(moment, number, group=index % 2 == 0):
+                    self.complain(f"{number.name} at {moment.kind} {moment.number} ({moment.what})", text)
+        for text in self.goes_on():
+            self.complain("afterwards", text)
+        count = 2 * len(moments)
+        print(f"{self.name}: {self.stopped} of {count} were stopped, {self.faults} complaints", flush=True)
 
+    def complain(self, when: str, text: str) -> None:
+        """Say what is wrong."""
+        self.faults += 1
+        print(f"    {when}: {text}", flush=True)
 
-def fresh(out: Path) -> None:
-    """An empty folder."""
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
+    def fresh(self) -> None:
+        """Begin with empty folders."""
+        for folder in (self.out, self.scratch):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        self.log.unlink(missing_ok=True)
 
+    def started(self, words: str, mark: str, event: list[object], number: int) -> subprocess.Popen[bytes]:
+        """The command, which ends itself by a signal at an event, if one is given."""
+        command = [sys.executable, "-m", "slipmap", *words.format(out=self.out, data=self.data).split()]
+        under = [str(self.out), str(self.scratch)]
+        plan = {"event": event, "signal": number, "log": str(self.log), "under": under}
+        path = os.pathsep.join(filter(None, [str(self.hook), os.environ.get("PYTHONPATH")]))
+        environment = os.environ | {MARK: mark, "TMPDIR": str(self.scratch), "PYTHONPATH": path}
+        environment[PLAN] = json.dumps(plan)
+        if self.case.heard:
+            sender = [
+                sys.executable,
+                "-c",
+                SENDER,
+                str(self.data / "log.mcap"),
+                RECORDED,
+                str(self.out / "log.mcap"),
+            ]
+            self.sender = subprocess.Popen(sender)
+        with open(self.errors, "wb") as errors:
+            return subprocess.Popen(
+                command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+                start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            )  # fmt: skip
 
-def started(words: str, out: Path, data: Path, mark: str) -> subprocess.Popen[bytes]:
-    """The command, with signals as in a terminal."""
-    command = [sys.executable, "-m", "slipmap", *words.format(out=out, data=data).split()]
-    scratch = out.parent / "tmp"
-    scratch.mkdir(exist_ok=True)
-    environment = os.environ | {MARK: mark, "TMPDIR": str(scratch)}
-    with open(out.parent / f"{out.name}.err", "wb") as errors:
-        return subprocess.Popen(
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
+    def finished(self, process: subprocess.Popen[bytes]) -> int:
+        """The exit code of the command; what sent it messages ends too."""
+        code = process.wait()
+        if self.sender is not None:
+            self.sender.kill()
+            self.sender.wait()
+        return code
 
+    def said(self) -> list[str]:
+        """Lines on standard error."""
+        return self.errors.read_text(errors="replace").splitlines()
 
-def whole_run(case: Case, out: Path, data: Path) -> tuple[float, int]:
-    """How long the command takes, s, and how it ends."""
-    begin = time.monotonic()
-    process = started(case.words, out, data, "whole")
-    if case.served:
-        time.sleep(case.seconds)
-        process.send_signal(signal.SIGINT)
-    code = process.wait()
-    return time.monotonic() - begin, code
+    def told(self) -> bool:
+        """Whether the command, which ends by Ctrl-C alone, has said what is awaited."""
+        return self.case.until in " ".join(line.strip() for line in self.said())
 
+    def chosen(self, events: Sequence[str], lines: Sequence[str]) -> list[Moment]:
+        """Moments: three while modules are loaded, three after lines, and the others at files."""
+        happened = {
+            kind: [event for event in events if event.startswith(kind)] for kind in ("import", "file")
+        }
+        few = min(3, len(lines))
+        spread = [(2 * k + 1) * len(lines) // (2 * few) for k in range(few)]
+        found = [
+            Moment("line", at + 1, lines[at], after)
+            for at, after in zip(spread, (0.05, 0.2, 0.5), strict=False)
+        ]
+        for kind, least in (("file", self.moments - 3 - few), ("import", self.moments)):
+            there = happened[kind]
+            count = min(least if kind == "file" else self.moments - len(found), len(there))
+            places = sorted({round(k * (len(there) - 1) / max(count - 1, 1)) for k in range(count)})
+            found += [Moment(kind, place + 1, there[place].partition(" ")[2]) for place in places]
+        return found
 
-class End:
-    """A run that was ended, and what it left."""
-
-    def __init__(self, case: Case, out: Path, data: Path, number: signal.Signals, moment: float) -> None:
-        self.case, self.out, self.number, self.moment = case, out, number, moment
-        self.mark = f"{os.getpid()}-{time.monotonic_ns()}"
-        process = started(case.words, out, data, self.mark)
-        self.signalled = False
-        try:
-            process.wait(timeout=moment)
-        except subprocess.TimeoutExpired:
-            process.send_signal(number)
-            self.signalled = True
-        self.asked = time.monotonic()
-        try:
-            self.code = process.wait(timeout=60)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            self.code = 999
-        self.took = time.monotonic() - self.asked
-
-    def complaints(self, whole: int) -> Iterator[str]:
-        """What is wrong."""
-        said = (self.out.parent / f"{self.out.name}.err").read_text(errors="replace")
-        if "Traceback" in said and "slipmap" not in said:
-            return  # Python itself was still being loaded
-        allowed = {whole, 130} if self.number == signal.SIGINT else {whole, -signal.SIGKILL}
-        if self.code not in allowed:
-            yield f"exit code {self.code}: {said.strip().splitlines()[-1:]}"
-        if "Traceback" in said or "internal failure" in said:
-            yield f"traceback: {said.strip().splitlines()[-1]}"
-        if self.took > 5.0:
-            yield f"ended {self.took:.0f} s after the signal"
-        left = processes(self.mark)
-        if left:
+    def ended(self, moment: Moment, number: signal.Signals, *, group: bool) -> Iterator[str]:
+        """What is wrong when the command ends at a moment; Ctrl-C reaches its workers too if `group`."""
+        mark = f"{os.getpid()}-{time.monotonic_ns()}"
+        event: list[object] = [] if moment.kind == "line" else [moment.kind, moment.number]
+        process = self.started(self.case.words, mark, event, number)
+        begin = time.monotonic()
+        asked = None
+        while process.poll() is None:
+            time.sleep(0.01)
+            now = time.monotonic()
+            if asked is not None:
+                if now - asked > 60.0:
+                    process.kill()
+            elif event and self.log.exists() and "signal" in self.log.read_text():
+                asked = now
+            elif not event and len(self.said()) >= moment.number:
+                time.sleep(moment.after)
+                send = os.killpg if group and number == signal.SIGINT else os.kill
+                send(process.pid, number)
+                asked = now
+            elif self.case.until and self.told() and now - begin > 1.5 * self.seconds:
+                process.send_signal(signal.SIGINT)
+                asked = now
+        code, took = self.finished(process), 0.0 if asked is None else time.monotonic() - asked
+        self.stopped += asked is not None and code != self.whole
+        if asked is not None and code == self.whole and not self.case.until:
+            print(f"    ({number.name} at {moment.kind} {moment.number}, {moment.what}: goes on to its end)")
+        yield from self.complaints(number, code, took)
+        if left := processes(mark):
             yield f"left behind: {left}"
-        for path in sorted(path for path in self.out.rglob("*") if path.is_file()):
-            name = path.relative_to(self.out)
-            if path.name.startswith(".slipmap."):  # removed by whoever writes there next
-                if self.number == signal.SIGINT:
-                    yield f"a file left over: {name}"
-            elif (why := broken(path)) is not None:
-                yield f"{name} is not whole: {why}"
-        scratch = self.out.parent / "tmp"
-        found = [path.name for path in scratch.iterdir()]
-        if found and self.number == signal.SIGINT:
-            yield f"left in the folder for temporary files: {found}"
-        shutil.rmtree(scratch)
+
+    def complaints(self, number: signal.Signals, code: int, took: float) -> Iterator[str]:
+        """What is wrong with a command that has ended."""
+        said = self.said()
+        allowed = {self.whole, 130} if number == signal.SIGINT else {self.whole, -signal.SIGKILL}
+        if code not in allowed:
+            yield f"exit code {code}: {said[-1:]}"
+        if any("Traceback" in line or "internal failure" in line for line in said):
+            yield f"traceback: {said[-1]}"
+        if took > PATIENCE:
+            yield f"ended {took:.0f} s after the signal"
+        parts = [*self.out.rglob(".slipmap.*")]
+        if number == signal.SIGINT:
+            yield from (f"a temporary file left over: {part.relative_to(self.out)}" for part in parts)
+            if found := [path.name for path in self.scratch.iterdir()]:
+                yield f"left in the folder for temporary files: {found}"
+        for path in self.files():
+            if (why := broken(path)) is not None:
+                yield f"{path.relative_to(self.out)} is not whole: {why}"
+        there = set(self.together())
+        if there and there < self.complete:
+            yield f"results without {', '.join(sorted(self.complete - there))}"
+        for folder in {part.parent for part in parts}:  # whoever writes there next removes them
+            write_json(folder / "next.json", {})
+            if still := [part.name for part in folder.glob(f"{PART}*")]:
+                yield f"not removed by the next command: {still}"
+
+    def files(self) -> list[Path]:
+        """Files in the output that are not temporary."""
+        every = (path for path in self.out.rglob("*") if path.is_file())
+        own = (path for path in every if not any(part.startswith(".slipmap.") for part in path.parts))
+        return sorted(path for path in own if path.name != "next.json")
+
+    def together(self) -> Iterator[str]:
+        """Names of the files that appear together."""
+        for path in self.files():
+            name = str(path.relative_to(self.out))
+            if not any(fnmatch(name, pattern) for pattern in self.case.steps):
+                yield name
+
+    def goes_on(self) -> Iterator[str]:
+        """What is wrong when the command is given once more after the last kill."""
+        if self.case.until:
+            return
+        ran = self.case.again is not None and any((self.out / "run").glob("run.json"))
+        words = self.case.again if ran and self.case.again else self.case.words
+        code = self.finished(self.started(words, "again", [], 0))
+        said = self.said()
+        for part in self.out.rglob(".slipmap.*"):
+            yield f"still left over: {part.relative_to(self.out)}"
+        if code and not any("exists already" in line for line in said):  # where the last signal was too late
+            yield f"`{words}`: exit code {code}: {said[-1:]}"
 
 
 def processes(mark: str, patience: float = 5.0) -> list[str]:
@@ -235,25 +426,13 @@ def broken(path: Path) -> str | None:
         elif path.suffix == ".png":
             if not path.read_bytes().endswith(b"IEND\xaeB`\x82"):
                 return "no end"
+        elif path.name.startswith("."):
+            return "it is hidden"
         elif path.stat().st_size == 0 and path.suffix != ".mcap":
             return "empty"
     except (OSError, ValueError, zipfile.BadZipFile, yaml.YAMLError) as error:
         return f"{type(error).__name__}: {error}"
     return None
-
-
-def goes_on(case: Case, out: Path, data: Path) -> list[str]:
-    """What is wrong when the command is given once more after the last kill."""
-    if case.served:
-        return []
-    words = case.words if case.again is None or not any((out / "run").glob("run.json")) else case.again
-    process = started(words, out, data, "again")
-    code = process.wait()
-    said = (out.parent / f"{out.name}.err").read_text(errors="replace").strip().splitlines()
-    parts = [f"still left over: {part.relative_to(out)}" for part in out.rglob(".slipmap.*")]
-    if code == 0 or any("exists already" in line for line in said):  # the last signal was too late
-        return parts
-    return [f"`{words}` afterwards: exit code {code}: {said[-1:]}"]
 
 
 def made_data(folder: Path) -> Path:
@@ -262,6 +441,7 @@ def made_data(folder: Path) -> Path:
         return folder
     folder.mkdir(parents=True)
     (folder / "cell.yaml").write_text(SMALL)
+    (folder / "engine.py").write_text(COARSE)
     trimesh.creation.annulus(0.03, 0.05, 0.03).export(folder / "ring.stl")
     dataset = slipmap.simulated_hammer(fit=4, heldout=1)[0]
     write_dataset(dataset, folder / "pushes")

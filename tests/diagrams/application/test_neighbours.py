@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,8 @@ from slipmap.diagrams.application import terminal
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
-from slipmap.models.files import PART, BadInput, together, write_json, write_text
+from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
+from slipmap.models.files import PART, BadInput, replaced_folder, together, write_json, write_text
 
 HOLDS = """
 import sys
@@ -110,6 +112,118 @@ def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeyp
     finally:
         signal.signal(signal.SIGINT, before)
     assert files_in(tmp_path) == ["a", "b"]
+
+
+def interrupted_at(monkeypatch, name):
+    """Let the first call of a function of `os` be preceded by Ctrl-C."""
+    function, times = getattr(os, name), []
+
+    def call(*arguments, **options):
+        if not times:
+            times.append(1)
+            os.kill(os.getpid(), signal.SIGINT)
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(os, name, call)
+
+
+@pytest.mark.parametrize("write", ["together", "a folder"])
+def test_ctrl_c_while_temporary_files_are_removed_leaves_none(tmp_path, monkeypatch, write):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    interrupted_at(monkeypatch, "rmdir" if write == "a folder" else "unlink")
+    try:
+        with pytest.raises((KeyboardInterrupt, BadInput)):
+            if write == "a folder":
+                with replaced_folder(tmp_path / "new") as fresh:
+                    fresh.mkdir()
+            else:
+                with together():
+                    write_text(tmp_path / "a", "new")
+                    write_text(tmp_path / "b", "new")
+                    raise BadInput
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert [path.name for path in tmp_path.iterdir()] == (["new"] if write == "a folder" else [])
+
+
+def test_ctrl_c_while_a_push_is_written_still_stops_the_arm_first(tmp_path, monkeypatch):
+    aborts: list[int] = []
+    interrupted_at(monkeypatch, "unlink")
+    with stopped_by_ctrl_c(SimpleNamespace(abort=lambda: aborts.append(1))) as pressed:
+        with pytest.raises(BadInput), together():
+            write_text(tmp_path / "a", "new")
+            raise BadInput
+        assert pressed() and aborts == [1]
+
+
+TWO_FILES = """
+import os, sys
+from pathlib import Path
+from slipmap.models import files
+
+replace, flock, who, times = os.replace, files.fcntl.flock, sys.argv[1], []
+
+def halt(part, file):
+    replace(part, file)
+    if who == "first" and not times:
+        times.append(1)
+        print("amid", flush=True)
+        sys.stdin.readline()
+
+def told(place, how):
+    if who == "second":
+        print("waits", flush=True)
+    flock(place, how)
+
+os.replace, files.fcntl.flock = halt, told
+with files.together():
+    for name in ("belief", "picture"):
+        files.write_text(Path(sys.argv[2]) / name, who)
+print("done", flush=True)
+"""
+
+
+def test_files_of_one_result_are_of_one_process(tmp_path):
+    """The second begins to rename while the first is amid its two files."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": ENVIRONMENT}
+    command = [sys.executable, "-c", TWO_FILES]
+    with (
+        subprocess.Popen([*command, "first", tmp_path], **pipes) as first,
+        subprocess.Popen([*command, "second", tmp_path], **pipes) as second,
+    ):
+        assert first.stdout.readline() == "amid\n"
+        second.stdout.readline()  # it waits, or is done
+        first.communicate("\n")
+        second.communicate()
+        assert first.returncode == second.returncode == 0
+    assert files_in(tmp_path) == ["belief", "picture"]
+    assert {(tmp_path / name).read_text() for name in ("belief", "picture")} == {"second"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("effects", "table_tilt", "--picture", "tilt.png", "--json", "tilt.json"),
+        ("check", "DATASET", "-o", "check.html", "--json", "check.json"),
+    ],
+)
+def test_a_picture_or_page_does_not_appear_without_the_numbers(
+    slipmap, tilted_folder, tmp_path, monkeypatch, words
+):
+    module = import_module(f"slipmap.diagrams.application.commands.{DEFINED[words[0]]}")
+
+    def stop(path, document) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "write_json", stop)
+    monkeypatch.chdir(tmp_path)
+    said = slipmap(*(tilted_folder if word == "DATASET" else word for word in words))
+    assert said.code == 130 and files_in(tmp_path) == []
+
+
+DEFINED = {"effects": "effects", "check": "datasets"}
+"""Module of each command."""
 
 
 def test_a_folder_has_one_writer_at_a_time(tmp_path):
