@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from slipmap.diagrams.application import terminal
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
+from slipmap.diagrams.hardware import child
+from slipmap.diagrams.hardware.child import Child
 from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
 from slipmap.models.files import PART, BadInput, replaced_folder, together, write_json, write_text
 
@@ -260,6 +263,48 @@ def test_workers_of_a_killed_process_end(tmp_path):
         os.kill(int(master.stdout.readline()), 0)  # the worker is there
         master.kill()
         assert master.stdout.read() == b""
+
+
+IDLE = """
+import time
+from slipmap.diagrams.hardware.child import Child, be_ready
+
+def idle():
+    be_ready()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    import parent
+    Child("a process that is busy for long", parent.idle)
+    print("there", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_busy_child_of_a_killed_process_ends(tmp_path):
+    """It has the standard error of its parent, which closes when the last of them is gone."""
+    (tmp_path / "parent.py").write_text(IDLE)
+    command = [sys.executable, "-m", "parent"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=ENVIRONMENT, cwd=tmp_path, **pipes) as parent:
+        assert parent.stdout.readline() == b"there\n"
+        parent.kill()
+        assert select.select([parent.stderr], [], [], 60.0)[0] and parent.stderr.read() == b""
+
+
+def test_ctrl_c_while_a_child_starts_ends_it(monkeypatch):
+    class Interrupted(Child):
+        @property
+        def output(self):
+            raise KeyboardInterrupt
+
+    begun, popen = [], subprocess.Popen
+    monkeypatch.setattr(
+        child.subprocess, "Popen", lambda *words, **how: begun.append(popen(*words, **how)) or begun[0]
+    )
+    with pytest.raises(KeyboardInterrupt):
+        Interrupted("a process that waits", input)
+    assert begun[0].returncode == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("reader", ["gone", "never there"])
