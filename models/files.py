@@ -111,7 +111,7 @@ def _sweep(folder: Path) -> None:
 
 def remove_part(part: Path) -> None:
     """Remove a temporary file or folder, even at Ctrl-C; one that may not be removed stays."""
-    with _undisturbed(), suppress(OSError):
+    with undisturbed(), suppress(OSError):
         if part.is_dir():
             shutil.rmtree(part, ignore_errors=True)
         else:
@@ -162,7 +162,7 @@ def replaced_folder(path: Path) -> Iterator[Path]:
     try:
         scratch.mkdir()
         yield fresh
-        with _in_turn(), _undisturbed():
+        with _in_turn(), undisturbed():
             if path.exists():
                 os.replace(path, old)
             try:
@@ -207,13 +207,13 @@ def together() -> Iterator[None]:
     token = _WAITING.set(waiting)
     try:
         yield
-        with _in_turn(), _undisturbed():
+        with _in_turn(), undisturbed():
             for file, part in waiting.items():
                 with writing(file):
                     os.replace(part, file)
     finally:
         _WAITING.reset(token)
-        with _undisturbed():
+        with undisturbed():
             for part in waiting.values():
                 remove_part(part)
 
@@ -231,7 +231,7 @@ def _in_turn() -> Iterator[None]:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def undisturbed() -> Iterator[None]:
     """Hold back termination signals until the block ends, however it ends; Python receives them only in its
     main thread."""
     if threading.current_thread() is not threading.main_thread():

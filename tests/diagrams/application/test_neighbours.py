@@ -379,6 +379,25 @@ def test_ctrl_c_within_exec_has_the_usual_exit_code(tmp_path):
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 
+TAKEN = """
+import os, signal, sys
+
+def press(event, arguments):
+    if event == "import" and arguments[0] == "scipy.optimize._minimize":
+        os.kill(os.getpid(), signal.SIGINT)
+
+sys.addaudithook(press)
+import slipmap.models.objects.meshes
+print("gone on")
+"""
+
+
+def test_ctrl_c_is_heard_though_a_library_takes_it_for_a_missing_one():
+    command = [sys.executable, "-c", TAKEN]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c)
+    assert b"KeyboardInterrupt" in done.stderr and done.stdout == b""
+
+
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     evil = "a\x1b]0;title\x07\x9b31m\u202eb\rc"
     assert printable(evil) == r"a\x1b]0;title\x07\x9b31m\u202eb\rc"
