@@ -3,7 +3,7 @@
 Each command first runs to its end and writes down what it does: the modules that it loads, the lines on
 standard error, and each time that it opens a file for writing, makes, renames or removes one. At ten of these
 events it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130 (or that of
-the whole run, where the signal came too late, or where Ctrl-C is how the command ends), a traceback, a process
+the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
 left behind, a file that is not whole, results that lack some, temporary files that Ctrl-C leaves or that the
 next command does not remove, and whether the same command, or `--resume`, goes on afterwards.
 """
