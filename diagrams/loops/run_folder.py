@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -78,7 +78,8 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
         run = {}
     ended = run.get("ended") is True and _holds(pushes, run.get("pushes"))
     # A run that was killed before it wrote its first push.
-    begun = pushes not in present and all(run.get("digests", {}).get(p.name) == _digest_of(p) for p in present)
+    own = run.get("digests", {})
+    begun = pushes not in present and all(own.get(path.name) == _digest_of(path) for path in present)
     if not (ended or begun):
         raise BadInput(
             f"{present[0]}: is not from a finished earlier run of `{command}` and would be lost; choose"
