@@ -111,7 +111,7 @@ class Case:
 
 CASES = {
     "doctor": Case("doctor --json {out}/doctor.json"),
-    "demo": Case("demo -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)),
+    "demo": Case("demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)),
     "example": Case("example -o {out}/pushes"),
     "explore": Case(
         "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
@@ -142,7 +142,7 @@ CASES = {
         steps=("pushes.png",),
     ),
     "check": Case("check {data}/pushes -o {out}/check.html --json {out}/check.json"),
-    "identify": Case("identify {data}/pushes --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"),
+    "identify": Case("identify {data}/pushes --plain --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"),
     "predict": Case("predict {data}/pushes --belief {data}/belief.npz -o {out}/p.png --json {out}/p.json"),
     "view": Case("view {data}/belief.npz --html {out}/view.html"),
     "compare": Case("compare {data}/pushes --belief {data}/belief.npz -o {out}/c.html --json {out}/c.json"),
@@ -302,7 +302,7 @@ class Study:
         for kind, least in (("file", self.moments - 3 - few), ("import", self.moments)):
             there = happened[kind]
             count = min(least if kind == "file" else self.moments - len(found), len(there))
-            last = (len(there) - 1) * (1.0 if kind == "file" else 0.5)
+            last = (len(there) - 1) * (1.0 if kind == "file" else 0.25)
             places = sorted({round(k * last / max(count - 1, 1)) for k in range(count)})
             found += [Moment(kind, place + 1, there[place].partition(" ")[2]) for place in places]
         return found

@@ -415,19 +415,32 @@ def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
 
     now = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
-    monkeypatch.setattr(event, "timer", lambda: now)
     monkeypatch.setattr(terminal, "_compiling", [])
     terminal.prepare_kernels()
     pace = terminal._Pace(0)
-    with event.trigger_event("numba:compile"):
+    lock = "numba:compiler_lock"
+    with event.trigger_event(lock):
         now = 10.0
-        with event.trigger_event("numba:compile"):
+        with event.trigger_event(lock):
             now = 30.0
     pace.note(1, 100)
     assert pace.left() is None  # one of a hundred says little
     now = 32.0
     pace.note(4, 100)
     assert pace.left() == pytest.approx(96 * 0.5)
+    with event.trigger_event(lock):  # as a bar shows it in the meantime
+        now = 132.0
+        assert pace.left() == pytest.approx(96 * 0.5)
+
+
+def test_formulas_of_effects_are_compiled_under_the_lock_that_the_pace_watches(monkeypatch):
+    from numba import cfunc, float64
+
+    monkeypatch.setattr(terminal, "_compiling", [])
+    terminal.prepare_kernels()
+    assert terminal._compiling[0].seconds == 0.0
+    cfunc(float64(float64))(lambda x: x + 1.0)
+    assert terminal._compiling[0].seconds > 0.0
 
 
 def test_parts_that_come_at_once_do_not_promise_an_early_end(monkeypatch):
