@@ -17,6 +17,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -26,9 +27,10 @@ from pathlib import Path
 
 import trimesh
 import yaml
+from pydrake.lcm import DrakeLcm
 
 import slipmap
-from slipmap.diagrams.hardware.mcap_log import McapLog
+from slipmap.diagrams.hardware.mcap_log import McapLog, McapReader
 from slipmap.models.files import PART, write_json
 from slipmap.models.measurements import write_dataset
 from tests.hardware.made_up_cell import MadeUpCell
@@ -78,22 +80,6 @@ from slipmap.diagrams.application.audit.engine import CoulombEngine
 class Coarse(CoulombEngine):
     dt = 4e-3
 """
-SENDER = """
-import sys, time
-from pathlib import Path
-from pydrake.lcm import DrakeLcm
-from slipmap.diagrams.hardware.mcap_log import McapReader
-
-with open(sys.argv[1], "rb") as file:
-    events = list(McapReader(file, "log"))
-while not Path(sys.argv[3]).exists():
-    time.sleep(0.1)
-time.sleep(2.0)
-lcm, begin = DrakeLcm(sys.argv[2]), time.monotonic()
-for event in events:
-    time.sleep(max(begin + 1e-6 * (event.utime - events[0].utime) - time.monotonic(), 0.0))
-    lcm.Publish(event.channel, event.data)
-"""
 RECORDED = "udpm://239.255.76.98:7698?ttl=0"
 PATIENCE = 30.0  # s from the signal to the end of the command
 
@@ -111,7 +97,9 @@ class Case:
 
 CASES = {
     "doctor": Case("doctor --json {out}/doctor.json"),
-    "demo": Case("demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)),
+    "demo": Case(
+        "demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)
+    ),
     "example": Case("example -o {out}/pushes"),
     "explore": Case(
         "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
@@ -142,7 +130,9 @@ CASES = {
         steps=("pushes.png",),
     ),
     "check": Case("check {data}/pushes -o {out}/check.html --json {out}/check.json"),
-    "identify": Case("identify {data}/pushes --plain --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"),
+    "identify": Case(
+        "identify {data}/pushes --plain --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"
+    ),
     "predict": Case("predict {data}/pushes --belief {data}/belief.npz -o {out}/p.png --json {out}/p.json"),
     "view": Case("view {data}/belief.npz --html {out}/view.html"),
     "compare": Case("compare {data}/pushes --belief {data}/belief.npz -o {out}/c.html --json {out}/c.json"),
@@ -204,7 +194,9 @@ class Study:
             folder / "out" / f"{name}.{end}" for end in ("tmp", "err", "log")
         )
         self.faults = self.stopped = 0
-        self.sender: subprocess.Popen[bytes] | None = None
+        with open(data / "log.mcap", "rb") as file:
+            self.events = list(McapReader(file, "log")) if self.case.heard else []
+        self.ended_now = threading.Event()
 
     def run(self) -> None:
         """Say what is wrong."""
@@ -256,16 +248,9 @@ class Study:
         path = os.pathsep.join(filter(None, [str(self.hook), os.environ.get("PYTHONPATH")]))
         environment = os.environ | {MARK: mark, "TMPDIR": str(self.scratch), "PYTHONPATH": path}
         environment[PLAN] = json.dumps(plan)
+        self.ended_now.clear()
         if self.case.heard:
-            sender = [
-                sys.executable,
-                "-c",
-                SENDER,
-                str(self.data / "log.mcap"),
-                RECORDED,
-                str(self.out / "log.mcap"),
-            ]
-            self.sender = subprocess.Popen(sender)
+            threading.Thread(target=self.play, daemon=True).start()
         with open(self.errors, "wb") as errors:
             return subprocess.Popen(
                 command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
@@ -275,10 +260,20 @@ class Study:
     def finished(self, process: subprocess.Popen[bytes]) -> int:
         """The exit code of the command; what sent it messages ends too."""
         code = process.wait()
-        if self.sender is not None:
-            self.sender.kill()
-            self.sender.wait()
+        self.ended_now.set()
         return code
+
+    def play(self) -> None:
+        """Send the messages of an arm and a camera once the command listens, until it ends."""
+        while not (self.out / "log.mcap").exists():
+            if self.ended_now.wait(0.1):
+                return
+        lcm, begin = DrakeLcm(RECORDED), time.monotonic() + 2.0
+        for event in self.events:
+            due = begin + 1e-6 * (event.utime - self.events[0].utime)
+            if self.ended_now.wait(max(due - time.monotonic(), 0.0)):
+                return
+            lcm.Publish(event.channel, event.data)
 
     def said(self) -> list[str]:
         """Lines on standard error."""
