@@ -98,7 +98,8 @@ class Case:
 CASES = {
     "doctor": Case("doctor --json {out}/doctor.json"),
     "demo": Case(
-        "demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json", steps=("demo/pushes/*",)
+        "demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json",
+        steps=("demo/pushes/*",),
     ),
     "example": Case("example -o {out}/pushes"),
     "explore": Case(
