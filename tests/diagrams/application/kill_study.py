@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -40,14 +41,29 @@ MARK = "SLIPMAP_KILL_STUDY"
 """Environment variable by which processes that a command left behind are known."""
 PLAN = "SLIPMAP_KILL_PLAN"
 """Environment variable with the event at which a command ends itself; only its first process reads it."""
-HOOK = """
-import json, os, sys
+HOOK = r"""
+import atexit, json, os, re, signal, sys
 
 def watch(plan):
-    me, own, counts = os.getpid(), [False], {}
+    me, own, counts, met, answers = os.getpid(), [False], {}, set(), []
     log = os.open(plan["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     write = os.O_WRONLY | os.O_RDWR | os.O_CREAT
     changing = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink")
+    copies = "ask" in plan
+    if copies:
+        ask, answer = os.open(plan["ask"], os.O_WRONLY), os.open(plan["answer"], os.O_RDONLY)
+
+    def end_a_copy(what):
+        for number in (signal.SIGINT, signal.SIGKILL):
+            os.write(ask, f"moment {number.value} {what}\n".encode())
+            os.read(answer, 1)
+            copy = os.fork()
+            if not copy:
+                os.kill(os.getpid(), number)
+                return
+            os.write(ask, f"copy {copy}\n".encode())
+            os.write(ask, f"ended {os.waitpid(copy, 0)[1]}\n".encode())
+            os.read(answer, 1)
 
     def hook(event, args):
         if event == "import":
@@ -62,13 +78,30 @@ def watch(plan):
         if not own[0] or os.getpid() != me:
             return
         counts[kind] = counts.get(kind, 0) + 1
-        if [kind, counts[kind]] == plan["event"]:
-            os.write(log, b"signal\\n")
+        if copies:
+            target = args[1] if event == "os.rename" else what
+            name = re.sub(r"[.]slipmap[.]\w+[.]\d+", "part", os.path.basename(target))
+            alike = event, re.sub(r"\d+", "0", name)
+            if kind == "import" and counts[kind] in plan["imports"] or kind == "file" and alike not in met:
+                met.add(alike)
+                end_a_copy(f"{event} {target}")
+        elif [kind, counts[kind]] == plan["event"]:
+            os.write(log, b"signal\n")
             os.kill(me, plan["signal"])
         elif not plan["event"]:
-            os.write(log, f"{kind} {event} {what}\\n".encode())
+            os.write(log, f"{kind} {event} {what}\n".encode())
+
+    def look(number, frame):
+        spent = os.times().user
+        if own[0] and os.getpid() == me:
+            end_a_copy(f"work of {spent:.0f} s")
+            signal.setitimer(signal.ITIMER_VIRTUAL, max(spent, 0.7))
 
     sys.addaudithook(hook)
+    if copies:
+        signal.signal(signal.SIGVTALRM, look)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.7)
+        atexit.register(signal.setitimer, signal.ITIMER_VIRTUAL, 0.0)
 
 if "SLIPMAP_KILL_PLAN" in os.environ:
     watch(json.loads(os.environ.pop("SLIPMAP_KILL_PLAN")))
@@ -92,6 +125,7 @@ class Case:
     again: str | None = None  # what goes on with it; itself unless given, where it may be repeated
     until: str = ""  # what it says a second before Ctrl-C ends a whole run, where it ends by that alone
     steps: tuple[str, ...] = ()  # patterns of files that appear one by one; others appear together
+    processes: bool = False  # whether it has processes of its own, so that no copy can be ended for it
     heard: bool = False  # whether messages of an arm and a camera come while it runs
 
 
@@ -113,11 +147,12 @@ CASES = {
         steps=("run/pushes/*", "run/run.json"),
     ),
     "station": Case(
-        "station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0", until="running"
+        "station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0",
+        until="running", processes=True,
     ),
     "record": Case(
         f"record --lcm {RECORDED} --scenario {{data}}/made_up.yaml -o {{out}}/pushes --log {{out}}/log.mcap",
-        until="is kept", steps=("*",), heard=True,
+        until="is kept", processes=True, steps=("*",), heard=True,
     ),
     "replay": Case(
         "replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"
@@ -150,7 +185,7 @@ CASES = {
     ),
     "campaign": Case(
         "campaign fig4 --objects hammer --trials 1 --workers 2 -o {out}/campaign --json {out}/c.json",
-        steps=("campaign/*/*",),
+        steps=("campaign/*/*",), processes=True,
     ),
     "blind-test": Case("blind-test --count 1 -o {out}/blind", steps=("blind/blind-*",)),
     "audit": Case("audit {data}/engine.py:Coarse -o {out}/audit.html --json {out}/audit.json"),
@@ -182,7 +217,8 @@ def main() -> None:
     hook.mkdir(exist_ok=True)
     (hook / "sitecustomize.py").write_text(HOOK)
     for name in asked.commands:
-        Study(name, folder, data, asked.moments).run()
+        kind = Study if CASES[name].processes else StudyOfCopies
+        kind(name, folder, data, asked.moments).run()
 
 
 class Study:
@@ -241,11 +277,13 @@ class Study:
             folder.mkdir(parents=True)
         self.log.unlink(missing_ok=True)
 
-    def started(self, words: str, mark: str, event: list[object], number: int) -> subprocess.Popen[bytes]:
+    def started(
+        self, words: str, mark: str, event: list[object], number: int, **more: object
+    ) -> subprocess.Popen[bytes]:
         """The command, which ends itself by a signal at an event, if one is given."""
         command = [sys.executable, "-m", "slipmap", *words.format(out=self.out, data=self.data).split()]
         under = [str(self.out), str(self.scratch)]
-        plan = {"event": event, "signal": number, "log": str(self.log), "under": under}
+        plan = {"event": event, "signal": number, "log": str(self.log), "under": under, **more}
         path = os.pathsep.join(filter(None, [str(self.hook), os.environ.get("PYTHONPATH")]))
         environment = os.environ | {MARK: mark, "TMPDIR": str(self.scratch), "PYTHONPATH": path}
         environment[PLAN] = json.dumps(plan)
@@ -330,13 +368,14 @@ class Study:
         self.stopped += asked is not None and code != self.whole
         if asked is not None and code == self.whole and not self.case.until:
             print(f"    ({number.name} at {moment.kind} {moment.number}, {moment.what}: goes on to its end)")
-        yield from self.complaints(number, code, took)
+        yield from self.complaints(number, code, took, self.said())
         if left := processes(mark):
             yield f"left behind: {left}"
 
-    def complaints(self, number: signal.Signals, code: int, took: float) -> Iterator[str]:
+    def complaints(
+        self, number: signal.Signals, code: int, took: float, said: Sequence[str]
+    ) -> Iterator[str]:
         """What is wrong with a command that has ended."""
-        said = self.said()
         allowed = {self.whole, 130} if number == signal.SIGINT else {self.whole, -signal.SIGKILL}
         if code not in allowed:
             yield f"exit code {code}: {said[-1:]}"
@@ -387,12 +426,90 @@ class Study:
             yield f"`{words}`: exit code {code}: {said[-1:]}"
 
 
-def processes(mark: str, patience: float = 5.0) -> list[str]:
-    """Processes that are still there after some seconds."""
+class StudyOfCopies(Study):
+    """A command that runs once; at each moment, copies of its process are made and ended."""
+
+    def run(self) -> None:
+        """Say what is wrong."""
+        self.fresh()
+        ask, answer = (self.out.with_name(f"{self.name}.{end}") for end in ("ask", "answer"))
+        for pipe in (ask, answer):
+            pipe.unlink(missing_ok=True)
+            os.mkfifo(pipe)
+        self.mark, begin = f"{os.getpid()}-{time.monotonic_ns()}", time.monotonic()
+        reader, self.answer = os.open(ask, os.O_RDONLY | os.O_NONBLOCK), os.open(answer, os.O_RDWR)
+        more = {"ask": str(ask), "answer": str(answer), "imports": [2, 20, 40, 60, 80, 150, 400, 800, 1200]}
+        self.process, self.whole = self.started(self.case.words, self.mark, [], 0, **more), 0
+        self.found: list[tuple[str, str, set[str]]] = []
+        self.complete, count, rest = set[str](), 0, b""
+        while self.process.poll() is None:
+            if not select.select([reader], [], [], 0.2)[0] or not (came := os.read(reader, 1 << 16)):
+                time.sleep(0.01)
+                if count and time.monotonic() - self.since > 60.0 and self.copy:
+                    os.kill(self.copy, signal.SIGKILL)
+                continue
+            *lines, rest = (rest + came).split(b"\n")
+            for line in lines:
+                word, _, told = line.decode().partition(" ")
+                if word == "moment":
+                    self.keep(told)
+                elif word == "copy":
+                    self.copy, self.since = int(told), time.monotonic()
+                else:
+                    self.judge(os.waitstatus_to_exitcode(int(told)))
+                    count += 1
+        self.whole, self.complete = self.finished(self.process), set(self.together())
+        for when, text, there in self.found:
+            if text:
+                self.complain(when, text)
+            elif there and there < self.complete:
+                lacking = f"results without {', '.join(sorted(self.complete - there))}"
+                if when.startswith("SIGKILL at os.rename"):
+                    print(f"    ({when}: {lacking}, for microseconds)")
+                else:
+                    self.complain(when, lacking)
+        results = ", ".join(sorted(self.complete)) or "none"
+        print(f"{self.name}: {time.monotonic() - begin:.0f} s, exit code {self.whole}, results: {results}")
+        print(f"{self.name}: {count} copies were ended, {self.faults} complaints", flush=True)
+
+    def keep(self, told: str) -> None:
+        """Keep the files as they are before a copy is ended."""
+        number, _, self.what = told.partition(" ")
+        self.number, self.copy = signal.Signals(int(number)), 0
+        self.since, self.spoken = time.monotonic(), len(self.said())
+        for folder in (self.out, self.scratch):
+            kept = folder.with_name(f"{folder.name}.kept")
+            shutil.rmtree(kept, ignore_errors=True)
+            shutil.copytree(folder, kept, copy_function=os.link, symlinks=True)
+        os.write(self.answer, b"k")
+
+    def judge(self, code: int) -> None:
+        """Note what is wrong with an ended copy, and bring the files back."""
+        when = f"{self.number.name} at {self.what}"
+        for part in sorted(self.out.rglob(f".slipmap.*.{self.process.pid}.*")):  # as if of a dead process
+            part.rename(part.with_name(part.name.replace(f".{self.process.pid}.", f".{self.copy}.", 1)))
+        said = self.said()[self.spoken :]
+        texts = list(self.complaints(self.number, code, time.monotonic() - self.since, said))
+        if left := processes(self.mark, apart=str(self.process.pid)):
+            texts.append(f"left behind: {left}")
+        self.found += [(when, text, set()) for text in texts]
+        self.found.append((when, "", set(self.together())))
+        if code == 0:
+            print(f"    ({when}: goes on to its end)")
+        for folder in (self.out, self.scratch):
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            kept = folder.with_name(f"{folder.name}.kept")
+            shutil.copytree(kept, folder, copy_function=os.link, symlinks=True, dirs_exist_ok=True)
+        os.write(self.answer, b"b")
+
+
+def processes(mark: str, apart: str = "", patience: float = 5.0) -> list[str]:
+    """Processes with a mark that are still there after some seconds, apart from that of a number."""
     for _ in range(int(patience / 0.25)):
         found = []
         for place in Path("/proc").iterdir():
-            if place.name.isdigit():
+            if place.name.isdigit() and place.name != apart:
                 try:
                     if f"{MARK}={mark}".encode() in (place / "environ").read_bytes().split(b"\0"):
                         found.append((place / "cmdline").read_bytes().replace(b"\0", b" ").decode()[:120])
