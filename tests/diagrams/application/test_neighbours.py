@@ -364,6 +364,41 @@ def test_a_signal_while_an_object_is_deleted_is_heard(name, begin):
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 
+BROKEN_OFF = """
+import os, signal, time
+from contextlib import suppress
+from slipmap.diagrams.application import command_line
+
+class HalfMade:
+    def __init__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+        self.handle = 1
+
+    def __del__(self):
+        self.handle
+
+def half_made(*_, **__):
+    HalfMade()
+
+def half_loaded(*_, **__):
+    with suppress(KeyboardInterrupt):
+        HalfMade.__init__(None)
+    raise ImportError("numba._devicearray failed to import")
+
+command_line.slipmap.main = WORK
+command_line.main()
+"""
+
+
+@pytest.mark.parametrize("work", ["half_made", "half_loaded"])
+def test_what_ctrl_c_breaks_off_in_a_library_is_no_failure(work):
+    """Modules in C forget why they could not be loaded, and objects that are half made fail when deleted."""
+    command = [sys.executable, "-c", BROKEN_OFF.replace("WORK", work)]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50)
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
 COMMAND_STOPPED = """
 from slipmap.diagrams.application import command_line
 command_line.slipmap.main = lambda *_, **__: exec("raise KeyboardInterrupt")
