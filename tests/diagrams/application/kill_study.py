@@ -125,7 +125,8 @@ class Case:
     again: str | None = None  # what goes on with it; itself unless given, where it may be repeated
     until: str = ""  # what it says a second before Ctrl-C ends a whole run, where it ends by that alone
     steps: tuple[str, ...] = ()  # patterns of files that appear one by one; others appear together
-    processes: bool = False  # whether it has processes of its own, so that no copy can be ended for it
+    # whether it has processes of its own, or learns after Ctrl-C, for which a copy lacks the threads
+    itself: bool = False
     heard: bool = False  # whether messages of an arm and a camera come while it runs
 
 
@@ -140,19 +141,19 @@ CASES = {
         "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
         " --record {out}/run/run.html",
         again="explore --resume {out}/run",
-        steps=("run/pushes/*", "run/run.json", "run/run.html", "run/*.yaml", "run/*.npz", "run/*.jpg"),
+        steps=("run/*",), itself=True,
     ),
     "pregrasp": Case(
         "pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run --json {out}/run/r.json",
-        steps=("run/pushes/*", "run/run.json"),
+        steps=("run/pushes/*", "run/run.json"), itself=True,
     ),
     "station": Case(
         "station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0",
-        until="running", processes=True,
+        until="running", itself=True,
     ),
     "record": Case(
         f"record --lcm {RECORDED} --scenario {{data}}/made_up.yaml -o {{out}}/pushes --log {{out}}/log.mcap",
-        until="is kept", processes=True, steps=("*",), heard=True,
+        until="is kept", itself=True, steps=("*",), heard=True,
     ),
     "replay": Case(
         "replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"
@@ -181,11 +182,11 @@ CASES = {
     "calibrate": Case("calibrate --objects 1 -o {out}/cal.png --json {out}/cal.json"),
     "explore-study": Case(
         "explore-study --object hammer --runs 1 --pushes 1 --checks 1 -o {out}/study --json {out}/study.json",
-        steps=("study/*",),
+        steps=("study/*",), itself=True,
     ),
     "campaign": Case(
         "campaign fig4 --objects hammer --trials 1 --workers 2 -o {out}/campaign --json {out}/c.json",
-        steps=("campaign/*/*",), processes=True,
+        steps=("campaign/*/*",), itself=True,
     ),
     "blind-test": Case("blind-test --count 1 -o {out}/blind", steps=("blind/blind-*",)),
     "audit": Case("audit {data}/engine.py:Coarse -o {out}/audit.html --json {out}/audit.json"),
@@ -217,7 +218,7 @@ def main() -> None:
     hook.mkdir(exist_ok=True)
     (hook / "sitecustomize.py").write_text(HOOK)
     for name in asked.commands:
-        kind = Study if CASES[name].processes else StudyOfCopies
+        kind = Study if CASES[name].itself else StudyOfCopies
         kind(name, folder, data, asked.moments).run()
 
 
