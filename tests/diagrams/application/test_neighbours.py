@@ -16,13 +16,22 @@ import pytest
 from test_command_line import ENVIRONMENT, files_in, hear_ctrl_c
 
 from slipmap.diagrams.application import terminal
+from slipmap.diagrams.application.commands import record
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
 from slipmap.diagrams.hardware import child
 from slipmap.diagrams.hardware.child import Child
 from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
-from slipmap.models.files import PART, BadInput, replaced_folder, together, write_json, write_text
+from slipmap.models.files import (
+    PART,
+    BadInput,
+    replaced_file,
+    replaced_folder,
+    together,
+    write_json,
+    write_text,
+)
 
 HOLDS = """
 import sys
@@ -78,6 +87,26 @@ def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     with together():
         write_json(tmp_path / "belief.json", {})
     assert files_in(tmp_path) == sorted([*kept, "belief.json"])
+
+
+def test_what_a_killed_campaign_left_goes_with_its_next_trial(tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    (tmp_path / f"{PART}{gone.pid}.trial.json").touch()
+    with replaced_file(tmp_path / "trial.json") as part:
+        part.touch()
+    assert files_in(tmp_path) == ["trial.json"]
+
+
+def test_ctrl_c_while_the_latency_of_the_camera_is_estimated_is_heard(monkeypatch):
+    """`slipmap replay` would go on without it."""
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("slipmap.models.inference.camera_lag.camera_lag", stop)
+    with pytest.raises(KeyboardInterrupt):
+        record._shown_lag(None)
 
 
 def test_a_part_that_may_not_be_removed_does_not_cost_the_results(tmp_path, monkeypatch):
