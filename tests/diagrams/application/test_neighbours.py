@@ -220,14 +220,12 @@ def test_files_of_one_result_are_of_one_process(tmp_path):
     """The second begins to rename while the first is amid its two files."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": ENVIRONMENT}
     command = [sys.executable, "-c", TWO_FILES]
-    with (
-        subprocess.Popen([*command, "first", tmp_path], **pipes) as first,
-        subprocess.Popen([*command, "second", tmp_path], **pipes) as second,
-    ):
+    with subprocess.Popen([*command, "first", tmp_path], **pipes) as first:
         assert first.stdout.readline() == "amid\n"
-        second.stdout.readline()  # it waits, or is done
-        first.communicate("\n")
-        second.communicate()
+        with subprocess.Popen([*command, "second", tmp_path], **pipes) as second:
+            second.stdout.readline()  # it waits, or is done
+            first.communicate("\n")
+            second.communicate()
         assert first.returncode == second.returncode == 0
     assert files_in(tmp_path) == ["belief", "picture"]
     assert {(tmp_path / name).read_text() for name in ("belief", "picture")} == {"second"}
