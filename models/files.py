@@ -1,13 +1,13 @@
 """Files: input is bounded in size; output appears whole or not at all."""
 
 import errno
+import fcntl
 import json
 import math
 import os
 import platform
 import shutil
 import signal
-import tempfile
 import threading
 import zipfile
 import zlib
@@ -96,8 +96,8 @@ def _too_large(size: int, largest: int) -> UnreadableFile:
     return UnreadableFile(f"{size / unit:.0f} {name}, more than the {largest / unit:.0f} {name} it may have")
 
 
-def _part_of(file: Path, number: str = "") -> Path:
-    """A temporary name beside a file, whose own name can be as long as the disk allows."""
+def part_of(file: Path, number: str = "") -> Path:
+    """A temporary name beside a file or folder, whose own name can be as long as the disk allows."""
     return file.with_name(f"{PART}{os.getpid()}.{number}{file.name[-40:]}")
 
 
@@ -110,8 +110,8 @@ def _sweep(folder: Path) -> None:
 
 
 def remove_part(part: Path) -> None:
-    """Remove a temporary file or folder; one that may not be removed stays."""
-    with suppress(OSError):
+    """Remove a temporary file or folder, even at Ctrl-C; one that may not be removed stays."""
+    with undisturbed(), suppress(OSError):
         if part.is_dir():
             shutil.rmtree(part, ignore_errors=True)
         else:
@@ -133,19 +133,19 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
     """Yield a temporary name, renamed to `path` if the block succeeds, removed if not; links are followed.
 
     Args:
-        part: the temporary name, on the same disk; by default beside the file.
+        part: the temporary name, from `part_of`, on the same disk; by default beside the file.
 
     Raises:
         OSError: the path cannot be written.
     """
     file = Path(os.path.realpath(path))
-    if part is None:
-        part = _part_of(file)
+    part = part or part_of(file)
+    _sweep(part.parent)
     try:
         yield part
         os.replace(part, file)
     finally:
-        part.unlink(missing_ok=True)
+        remove_part(part)
 
 
 @contextmanager
@@ -157,17 +157,22 @@ def replaced_folder(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
-    with tempfile.TemporaryDirectory(prefix=f"{PART}{os.getpid()}.", dir=path.parent) as scratch:
-        fresh, old = Path(scratch) / "new", Path(scratch) / "old"
+    scratch = part_of(path, f"{threading.get_ident()}.")
+    fresh, old = scratch / "new", scratch / "old"
+    try:
+        scratch.mkdir()
         yield fresh
-        if path.exists():
-            os.replace(path, old)
-        try:
-            os.replace(fresh, path)
-        except OSError:
-            if old.exists():
-                os.replace(old, path)
-            raise
+        with _in_turn(), undisturbed():
+            if path.exists():
+                os.replace(path, old)
+            try:
+                os.replace(fresh, path)
+            except OSError:
+                if old.exists():
+                    os.replace(old, path)
+                raise
+    finally:
+        remove_part(scratch)
 
 
 @contextmanager
@@ -180,11 +185,10 @@ def whole_file(path: Path) -> Iterator[Path]:
     waiting = _WAITING.get()
     if waiting is None:
         with writing(path), replaced_file(path) as part:
-            _sweep(part.parent)
             yield part
         return
     file = Path(os.path.realpath(path))
-    part = waiting.setdefault(file, _part_of(file, f"{len(waiting)}."))
+    part = waiting.setdefault(file, part_of(file, f"{len(waiting)}."))
     with writing(path):
         _sweep(file.parent)
         yield part
@@ -194,27 +198,42 @@ def whole_file(path: Path) -> Iterator[Path]:
 def together() -> Iterator[None]:
     """Make all files that the block writes with `whole_file` appear together, or none if it fails.
 
+    Where two processes write files of the same names, all are of the one that ends last.
+
     Raises:
         BadInput: a path cannot be written.
-        KeyboardInterrupt: a termination signal arrived while the files were being renamed.
     """
     waiting: dict[Path, Path] = {}
     token = _WAITING.set(waiting)
     try:
         yield
-        with _undisturbed():
+        with _in_turn(), undisturbed():
             for file, part in waiting.items():
                 with writing(file):
                     os.replace(part, file)
     finally:
         _WAITING.reset(token)
-        for part in waiting.values():
-            part.unlink(missing_ok=True)
+        with undisturbed():
+            for part in waiting.values():
+                remove_part(part)
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold back termination signals until the block ends; Python receives them only in its main thread."""
+def _in_turn() -> Iterator[None]:
+    """Wait until no other process of this installation renames its results, so that they are not mixed."""
+    own = os.open(__file__, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # on some network disks
+            fcntl.flock(own, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(own)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold back termination signals until the block ends, however it ends; Python receives them only in its
+    main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -229,8 +248,8 @@ def _undisturbed() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    if came:
-        raise KeyboardInterrupt
+        if came:
+            signal.raise_signal(came[0])
 
 
 @contextmanager

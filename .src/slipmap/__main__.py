@@ -1,5 +1,6 @@
 """Entry point of the console script; Ctrl-C during import ends it quietly."""
 
+import os
 import sys
 
 
@@ -11,7 +12,8 @@ def main() -> None:
         run_command()
     except KeyboardInterrupt:
         sys.stderr.write("slipmap: stopped; nothing half-written is left behind\n")
-        sys.exit(130)
+        sys.stderr.flush()
+        os._exit(130)  # after a Ctrl-C while a module makes a dataclass, sys.exit() would end by SIGINT
 
 
 if __name__ == "__main__":

@@ -138,7 +138,12 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _comes_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error, such as an ImportError of a C++ module whose loading it interrupted."""
+    """Whether Ctrl-C caused an error, such as an ImportError of a C module whose loading it interrupted.
+
+    Some such modules do not name what caused their error.
+    """
+    if _heard and isinstance(error, ImportError):
+        return True
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -231,18 +236,27 @@ def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
     return cast(TextIO, _Output(stream))
 
 
+_heard: list[int] = []  # Ctrl-C and termination signals so far
+
+
+def _stop(number: int, frame: object) -> None:
+    _heard.append(number)
+    raise KeyboardInterrupt
+
+
 def _hear_again(lost: "sys.UnraisableHookArgs") -> None:
-    """Repeat a Ctrl-C that came while an object was deleted, or in a callback from C, where it is lost."""
+    """Repeat a Ctrl-C that came while an object was deleted, or in a callback from C, where it is lost.
+
+    Other errors after it are of objects that were only half made.
+    """
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        # Which signal it was is not known; SIGINT may be ignored, as in the background of a shell.
-        heard = signal.getsignal(signal.SIGTERM) is signal.default_int_handler
-        number = signal.SIGTERM if heard else signal.SIGINT
         main_thread = threading.main_thread().ident
+        number = _heard[-1] if _heard else signal.SIGINT
         # Raised in here, it would be lost again.
         again = threading.Timer(0.02, signal.pthread_kill, (main_thread, number))
         again.daemon = True
         again.start()
-    else:
+    elif not _heard:
         sys.__unraisablehook__(lost)
 
 
@@ -253,9 +267,9 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Terminating the command from outside, or closing its terminal, acts like Ctrl-C: workers end with it,
     # and nothing half-written is left.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
-            signal.signal(number, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup, or in the background of a shell
+            signal.signal(number, _stop)
     sys.unraisablehook = _hear_again
     sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
     code = SUCCESS

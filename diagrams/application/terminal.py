@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
-from typing import Any
 
 import click
 
@@ -87,8 +86,11 @@ def prepare_kernels() -> None:
     if not _compiling:
         from numba.core import event
 
-        _compiling.append(event.TimingListener())
-        event.register("numba:compile", _compiling[0])
+        class Watch(_Compiling, event.Listener):
+            pass
+
+        _compiling.append(Watch())
+        event.register("numba:compiler_lock", _compiling[0])
     try:
         CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -173,12 +175,33 @@ class Progress:
         self._stage = ""
 
 
-_compiling: list[Any] = []  # numba's watch of the time spent compiling, once kernels are prepared
+class _Compiling:
+    """A watch of the time spent compiling, kernels or formulas of effects; numba tells it."""
+
+    _depth, _began, _spent = 0, 0.0, 0.0
+
+    def on_start(self, event: object) -> None:
+        if not self._depth:
+            self._began = time.monotonic()
+        self._depth += 1
+
+    def on_end(self, event: object) -> None:
+        self._depth -= 1
+        if not self._depth:
+            self._spent += time.monotonic() - self._began
+
+    @property
+    def seconds(self) -> float:
+        """Including what is being compiled now."""
+        return self._spent + (time.monotonic() - self._began if self._depth else 0.0)
+
+
+_compiling: list[_Compiling] = []  # once kernels are prepared
 
 
 def _clock() -> float:
     """Seconds, like `time.monotonic`, but without compiling, which says nothing about the pace."""
-    return time.monotonic() - sum(watch.duration for watch in _compiling if watch.done)
+    return time.monotonic() - sum(watch.seconds for watch in _compiling)
 
 
 class _Pace:

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import IO
 
 from slipmap.diagrams.hardware.network import HardwareError
+from slipmap.models.process_end import prepare_worker
 
 _READY = b"ready\n"
 
@@ -35,7 +36,12 @@ class Child:
             [sys.executable, "-m", __name__, target, *arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
         )  # fmt: skip
-        if self.output.readline() != _READY:
+        try:
+            started = self.output.readline() == _READY
+        except BaseException:  # Ctrl-C
+            self.close(patience=0.0)
+            raise
+        if not started:
             self.close()
             raise HardwareError(f"{self._what} did not start; see its message above")
 
@@ -85,6 +91,7 @@ def have_priority() -> None:
 
 
 if __name__ == "__main__":
+    prepare_worker()
     module, _, name = sys.argv[1].partition(":")
     try:
         getattr(import_module(module), name)(*sys.argv[2:])

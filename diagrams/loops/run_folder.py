@@ -7,11 +7,12 @@ Only the same command may replace the pushes of a finished run (`refuse_others_f
 
 import dataclasses
 import hashlib
+import io
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -22,7 +23,7 @@ from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, ou
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.model_monitor import Watch
-from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
+from slipmap.models.files import BadInput, together, whole_file, write_json, writing
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
 from slipmap.models.measurements.parsing import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
@@ -75,7 +76,11 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
         run = read_run(folder, format_)
     except BadInput:
         run = {}
-    if run.get("ended") is not True or not _holds(pushes, run.get("pushes")):
+    ended = run.get("ended") is True and _holds(pushes, run.get("pushes"))
+    # A run that was killed before it wrote its first push.
+    own = run.get("digests", {})
+    begun = pushes not in present and all(own.get(path.name) == _digest_of(path) for path in present)
+    if not (ended or begun):
         raise BadInput(
             f"{present[0]}: is not from a finished earlier run of `{command}` and would be lost; choose"
             " another folder with --out, or move it away"
@@ -278,8 +283,14 @@ class ExplorationFolder(RunFolder):
 
     def keep(self, recorded: RecordedRun) -> None:
         """See `RunFolder.keep`; an error also says what is kept and how to continue."""
+        settings = self._settings(recorded) if self._run is None else {}
         if self._run is None:
-            self._run = self._begin(recorded)
+            self._run = {
+                "format": FORMAT,
+                "ended": False,
+                "options": dataclasses.asdict(self._options),
+                "digests": {name: hashlib.sha256(data).hexdigest() for name, data in settings.items()},
+            }
         self._run["pushes"] = [
             {"digest": digest, "poke": vars(choice) | {"push": vars(choice.push)}, "place": place}
             for digest, choice, place in zip(
@@ -291,7 +302,11 @@ class ExplorationFolder(RunFolder):
         if recorded.repair is not None:
             self._run["repair"] = recorded.repair.to_run()
         with self.going_on(len(recorded.trials) - 1):
-            write_json(self._folder / RUN, self._run)
+            with together():
+                write_json(self._folder / RUN, self._run)  # first, since it identifies the others
+                for name, data in settings.items():
+                    with whole_file(self._folder / name) as part:
+                        part.write_bytes(data)
             super().keep(recorded)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
@@ -299,17 +314,12 @@ class ExplorationFolder(RunFolder):
         with self.going_on(push):
             super().note(push, rows)
 
-    def _begin(self, recorded: RecordedRun) -> dict[str, Any]:
+    def _settings(self, recorded: RecordedRun) -> dict[str, bytes]:
+        """Content of the files that a run writes once, by name."""
         scenario = dataclasses.replace(self._scenario, object=_found_from_anywhere(self._scenario.object))
-        write_text(self._folder / SCENARIO, yaml_dump_typed(scenario))
-        with whole_file(self._folder / PICTURE) as part, open(part, "wb") as file:
-            recorded.first.save(cast(BinaryIO, file))
-        return {
-            "format": FORMAT,
-            "ended": False,
-            "options": dataclasses.asdict(self._options),
-            "digests": {name: _digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
-        }
+        picture = io.BytesIO()
+        recorded.first.save(picture)
+        return {SCENARIO: yaml_dump_typed(scenario).encode(), PICTURE: picture.getvalue()}
 
     @contextmanager
     def going_on(self, kept: int) -> Iterator[None]:
@@ -375,7 +385,7 @@ def _refuse_cut_off(folder: Path) -> None:
         run = read_run(folder, FORMAT)
     except BadInput:
         return  # none, or none that could be continued
-    if not run.get("ended") and run.get("pushes"):
+    if not run.get("ended") and run.get("pushes") and (folder / PUSHES).exists():
         raise BadInput(
             f"{folder}: holds an interrupted run with pushes recorded: {len(run['pushes'])}; continue with"
             f" `slipmap explore --resume {folder}`, or choose another folder with --out"

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from pydrake.common.cpp_param import List
 from pydrake.common.value import AbstractValue, Value
@@ -37,6 +36,7 @@ from pydrake.systems.sensors import ImageDepth32F, RgbdSensor
 
 from slipmap.diagrams.perception.camera import FARTHEST, NEAREST, CameraConfig
 from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.objects.meshes import trimesh
 from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled

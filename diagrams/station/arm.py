@@ -2,6 +2,8 @@
 
 import re
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -222,13 +224,21 @@ def _parser(plant: MultibodyPlant) -> Parser:
     return parser
 
 
-def _gripper_text(finger_radius: float) -> str:
-    """The gripper's model file with another radius of the finger's last 12 mm and of the slightly thinner
-    rest."""
+@contextmanager
+def _gripper_with(finger_radius: float) -> Iterator[Path]:
+    """The gripper's model file, or one with another radius of the finger's last 12 mm and of the slightly
+    thinner rest."""
+    if finger_radius == FINGER_RADIUS:
+        yield GRIPPER_MODEL
+        return
     text = GRIPPER_MODEL.read_text(encoding="utf-8")
     radii = {FINGER_RADIUS: finger_radius, _PIN_RADIUS: finger_radius - (FINGER_RADIUS - _PIN_RADIUS)}
     given = "|".join(f"{radius:g}" for radius in radii)
-    return re.sub(f'radius="({given})"', lambda found: f'radius="{radii[float(found[1])]:.6g}"', text)
+    text = re.sub(f'radius="({given})"', lambda found: f'radius="{radii[float(found[1])]:.6g}"', text)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / GRIPPER_MODEL.name
+        file.write_text(text, encoding="utf-8")
+        yield file
 
 
 def _parse(
@@ -238,9 +248,7 @@ def _parse(
     members += [f"gripper::{part}" for part in ("hand", "left_finger", "right_finger")]
     arm = _arm_url(models)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            gripper_file = Path(folder) / GRIPPER_MODEL.name
-            gripper_file.write_text(_gripper_text(finger_radius), encoding="utf-8")
+        with _gripper_with(finger_radius) as gripper_file:
             directives = _DIRECTIVES.format(
                 arm=arm, gripper=gripper_file, flange=FLANGE_HEIGHT, members=", ".join(members)
             )

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -226,7 +227,7 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
             if len(header[0].split(sign)) > 1:
                 raise DatasetError(
                     f"{where}: its cells are separated by {named}, not commas; import it with"
-                    f" `slipmap import {where} --guess`"
+                    f" `slipmap import {shlex.quote(where)} --guess`"
                 )
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import yaml
 
-from slipmap.models.files import replaced_file, replaced_folder
+from slipmap.models.files import part_of, replaced_file, replaced_folder
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
@@ -194,7 +194,7 @@ class PushRecorder:
 
     def _write(self, path: Path, text: str) -> None:
         # Beside the folder, not in it: leftovers of a killed process would not belong to the dataset.
-        part = self._folder.with_name(f".{self._folder.name}.part")
+        part = part_of(self._folder)
         with _naming(path), replaced_file(path, part):
             with open(part, "w", encoding="utf-8") as file:
                 file.write(text)

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-import trimesh
 from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of
-from slipmap.models.objects.meshes import coloured, lofted, rounded
+from slipmap.models.objects.meshes import coloured, lofted, rounded, trimesh
 from slipmap.models.objects.true_object import Block, TrueObject, cell_heights
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps

@@ -12,17 +12,19 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from slipmap.models.files import UnreadableFile, check_file, read_bounded
+from slipmap.models.files import UnreadableFile, check_file, read_bounded, undisturbed
 from slipmap.models.geometry import cross
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of, without_small_holes
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+with undisturbed():  # it takes a Ctrl-C for a library that is missing, and goes on
+    import trimesh
 
 LARGEST_EXTENT = 5.0
 """A footprint wider than this (m) is refused: the mesh is probably in millimetres or inches."""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import Polygon
 
@@ -44,7 +43,7 @@ class TrueObject:
     mu: FloatArray  # (n,) friction coefficients with the table
     mu_finger: float  # friction coefficient with the finger
     height: FloatArray  # (n,) of the object over each cell, m
-    mesh: trimesh.Trimesh  # shape that cameras see, object frame, m, with a colour on each face
+    mesh: meshes.trimesh.Trimesh  # shape that cameras see, object frame, m, with a colour on each face
     colors: FloatArray  # (R, 4) red, green, blue, opacity of each region, 0 to 1
     blocks: tuple[Block, ...]  # shape that a finger touches; together they cover the outline
 
@@ -205,7 +204,7 @@ def object_from_labels(
     )
 
 
-def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
+def cell_heights(mesh: meshes.trimesh.Trimesh, grid: CellGrid) -> FloatArray:
     """(n,) height of a mesh at each cell's centre, m, or at the nearest cell centre that the mesh covers."""
     height = meshes.height_over(mesh, grid.centers)
     covered = np.flatnonzero(np.isfinite(height))

@@ -158,6 +158,27 @@ def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole
     assert len(before.trials) == len(before.choices) == len(before.places) == 1
 
 
+@pytest.mark.parametrize("call", [1, 2, 3, 4])
+def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, monkeypatch, call):
+    """At each of the four renames: of run file, scenario, picture and pushes."""
+    replace, calls = os.replace, iter(range(1, 10))
+
+    def killed(part, file):
+        if next(calls) >= call:
+            os._exit(9)
+        replace(part, file)
+
+    child = os.fork()
+    if child == 0:
+        os.replace = killed
+        recorded(tmp_path, whole, 1)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 9 << 8
+    recorded(tmp_path, whole, 2)
+    assert len(resumed(tmp_path)[2].trials) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {PUSHES, RUN, SCENARIO, PICTURE}
+
+
 def test_what_was_measured_of_the_push_under_way_stays_until_it_is_recorded(whole, tmp_path):
     record = recorded(tmp_path, whole, 1)
     record.note(1, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})

@@ -12,7 +12,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder, check_output, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, status, table
-from slipmap.models.files import BadInput, write_json, write_text, writing
+from slipmap.models.files import BadInput, together, write_json, write_text, writing
 
 if TYPE_CHECKING:
     from slipmap.models.measurements import PushDataset
@@ -52,9 +52,10 @@ def check(
         )
         with progress.step("checking"):
             found = check_dataset(measured)
-        if output is not None:
-            write_text(output, _page(found, measured))
-    write_json(json_file, found.to_json())
+        with together():
+            if output is not None:
+                write_text(output, _page(found, measured))
+            write_json(json_file, found.to_json())
     _show(found, dataset, shlex.join([str(dataset), *(("--object", object_name) if object_name else ())]))
     if output is not None:
         note(f"page: {output}")
@@ -198,12 +199,13 @@ def import_files(
         )
         if dataset.name == setup.stem:  # the setup gives no name of its own
             dataset = replace(dataset, name=output.absolute().name)
-        with writing(output):
-            write_dataset(dataset, output, overwrite=True)
         from slipmap.diagrams.application.figures import measured_figure
 
         picture = output.absolute().with_name(f"{output.absolute().name}.png")
-        write_figures(picture, [measured_figure(dataset)])
+        with together():
+            write_figures(picture, [measured_figure(dataset)])
+            with writing(output):
+                write_dataset(dataset, output, overwrite=True)
     warned = set(dataset.warnings)
     for sentence in dataset.provenance:
         if sentence not in warned:

@@ -11,7 +11,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import note, paragraph, prepare_kernels, table, wrapped
-from slipmap.models.files import BadInput, write_json
+from slipmap.models.files import BadInput, together, write_json
 
 if TYPE_CHECKING:
     from slipmap.models.effects import Effect, Parameter
@@ -51,13 +51,15 @@ def effects(
 
     (effect,) = effects_named([name], known)
     text = written(effect)
-    if picture is not None:
-        prepare_kernels()
-        from slipmap.diagrams.application.figures import effect_figure
+    with together():
+        if picture is not None:
+            prepare_kernels()
+            from slipmap.diagrams.application.figures import effect_figure
 
-        for path in write_figures(picture, [effect_figure(effect)]):
-            note(f"picture: {path}")
-    write_json(json_file, _document(effect, text))
+            write_figures(picture, [effect_figure(effect)])
+        write_json(json_file, _document(effect, text))
+    if picture is not None:
+        note(f"picture: {picture}")
     _explain(effect, text)
 
 

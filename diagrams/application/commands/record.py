@@ -7,7 +7,7 @@ log and learns from them, and `station` simulates a cell with the messages of a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +78,8 @@ def record(
     lag = None
     if listener.pushes:
         dataset = listener.dataset()
-        lag = _shown_lag(dataset)
+        with suppress(KeyboardInterrupt):  # the pushes are there
+            lag = _shown_lag(dataset)
         note(f"pushes: {output}")
     if log_file is not None:
         note(f"messages: {log_file}")
@@ -158,15 +159,12 @@ def _heard(listener: PushListener, lag: CameraLag | None) -> dict[str, Any]:
 
 
 def _shown_lag(dataset: PushDataset) -> CameraLag | None:
-    """Print and return the camera's latency; None where the pushes do not show it, or at Ctrl-C."""
+    """Print and return the camera's latency; None where the pushes do not show it."""
     from slipmap.models.inference.camera_lag import camera_lag
 
     prepare_kernels()
-    try:
-        with Progress() as progress:
-            lag = camera_lag(dataset, progress=progress)
-    except KeyboardInterrupt:
-        return None
+    with Progress() as progress:
+        lag = camera_lag(dataset, progress=progress)
     paragraph(_lag_words(lag))
     return lag
 

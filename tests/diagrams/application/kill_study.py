@@ -1,10 +1,11 @@
-"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER`.
+"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND ...]`.
 
-Each runs to its end twice, the first time to compile its kernels, and then again and again, ended by SIGINT
-and SIGKILL at ten moments of the second run's time. Said is what is wrong then: another exit code than 130
-(or that of the whole run, where the signal came too late, or where Ctrl-C is how the command ends), a
-traceback, a process left behind, a file that is not whole or has no place beside the others, and whether the
-same command, or `--resume`, goes on afterwards.
+Each command first runs to its end and writes down what it does: the modules that it loads, the lines on
+standard error, and each time that it opens a file for writing, makes, renames or removes one. At ten of these
+events it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130 (or that of
+the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
+left behind, a file that is not whole, results that lack some, temporary files that Ctrl-C leaves or that the
+next command does not remove, and whether the same command, or `--resume`, goes on afterwards.
 """
 
 from __future__ import annotations
@@ -12,78 +13,196 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 import trimesh
 import yaml
+from pydrake.lcm import DrakeLcm
 
 import slipmap
-from slipmap.diagrams.hardware.mcap_log import McapLog
+from slipmap.diagrams.hardware.mcap_log import McapLog, McapReader
+from slipmap.models.files import PART, write_json
 from slipmap.models.measurements import write_dataset
 from tests.hardware.made_up_cell import MadeUpCell
 from tests.models.measurements.importing.lab_session import lab_session
 
 MARK = "SLIPMAP_KILL_STUDY"
 """Environment variable by which processes that a command left behind are known."""
+PLAN = "SLIPMAP_KILL_PLAN"
+"""Environment variable with the event at which a command ends itself; only its first process reads it."""
+HOOK = r"""
+import atexit, json, os, re, signal, sys
+
+def watch(plan):
+    me, own, counts, met, answers = os.getpid(), [False], {}, set(), []
+    log = os.open(plan["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    write = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+    changing = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink")
+    copies = "ask" in plan
+    if copies:
+        ask, answer = os.open(plan["ask"], os.O_WRONLY), os.open(plan["answer"], os.O_RDONLY)
+
+    def end_a_copy(what):
+        for number in (signal.SIGINT, signal.SIGKILL):
+            os.write(ask, f"moment {number.value} {what}\n".encode())
+            os.read(answer, 1)
+            copy = os.fork()
+            if not copy:
+                os.kill(os.getpid(), number)
+                return
+            os.write(ask, f"copy {copy}\n".encode())
+            os.write(ask, f"ended {os.waitpid(copy, 0)[1]}\n".encode())
+            os.read(answer, 1)
+
+    def hook(event, args):
+        if event == "import":
+            own[0] = own[0] or args[0] == "slipmap.diagrams"  # before, Python is being loaded
+            kind, what = "import", args[0]
+        elif event in changing or event == "open" and isinstance(args[2], int) and args[2] & write:
+            kind, what = "file", str(args[0])
+            if what.startswith("/") and not what.startswith(tuple(plan["under"])):
+                return
+        else:
+            return
+        if not own[0] or os.getpid() != me:
+            return
+        counts[kind] = counts.get(kind, 0) + 1
+        if copies:
+            target = args[1] if event == "os.rename" else what
+            name = re.sub(r"[.]slipmap[.]\w+[.]\d+", "part", os.path.basename(target))
+            alike = event, re.sub(r"\d+", "0", name)
+            if kind == "import" and counts[kind] in plan["imports"] or kind == "file" and alike not in met:
+                met.add(alike)
+                end_a_copy(f"{event} {target}")
+        elif [kind, counts[kind]] == plan["event"]:
+            os.write(log, b"signal\n")
+            os.kill(me, plan["signal"])
+        elif not plan["event"]:
+            os.write(log, f"{kind} {event} {what}\n".encode())
+
+    def look(number, frame):
+        spent = os.times().user
+        if own[0] and os.getpid() == me:
+            end_a_copy(f"work of {spent:.0f} s")
+            signal.setitimer(signal.ITIMER_VIRTUAL, max(spent, 0.7))
+
+    sys.addaudithook(hook)
+    if copies:
+        signal.signal(signal.SIGVTALRM, look)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.7)
+        atexit.register(signal.setitimer, signal.ITIMER_VIRTUAL, 0.0)
+
+if "SLIPMAP_KILL_PLAN" in os.environ:
+    watch(json.loads(os.environ.pop("SLIPMAP_KILL_PLAN")))
+"""
 SMALL = "camera: {width: 480, height_pixels: 360, rate: 5.0}\nsimulation: {time_step: 0.005}\n"
+COARSE = """
+from slipmap.diagrams.application.audit.engine import CoulombEngine
+
+class Coarse(CoulombEngine):
+    dt = 4e-3
+"""
+RECORDED = "udpm://239.255.76.98:7698?ttl=0"
+PATIENCE = 30.0  # s from the signal to the end of the command
 
 
 @dataclass(frozen=True)
 class Case:
-    """A command, and how it goes on."""
+    """A command, how it goes on, and what it leaves on purpose."""
 
     words: str  # after `slipmap`; {out} is the folder that it writes to, {data} that of its input
     again: str | None = None  # what goes on with it; itself unless given, where it may be repeated
-    served: bool = False  # whether Ctrl-C is how it ends, so that it is well
-    seconds: float = 8.0  # that it is left alone for, where it ends by Ctrl-C alone
+    until: str = ""  # what it says a second before Ctrl-C ends a whole run, where it ends by that alone
+    steps: tuple[str, ...] = ()  # patterns of files that appear one by one; others appear together
+    # whether it has processes of its own, or learns after Ctrl-C, for which a copy lacks the threads
+    itself: bool = False
+    heard: bool = False  # whether messages of an arm and a camera come while it runs
 
 
 CASES = {
-    "doctor": Case("doctor"),
-    "demo": Case("demo -o {out}/demo"),
+    "doctor": Case("doctor --json {out}/doctor.json"),
+    "demo": Case(
+        "demo --fit-pushes 2 --heldout-pushes 1 -o {out}/demo --json {out}/demo.json",
+        steps=("demo/pushes/*",),
+    ),
+    "example": Case("example -o {out}/pushes"),
     "explore": Case(
-        "explore --scenario {data}/cell.yaml --pushes 2 --checks 0 --out {out}/run --json {out}/run/r.json"
+        "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
         " --record {out}/run/run.html",
         again="explore --resume {out}/run",
+        steps=("run/*",), itself=True,
     ),
-    "pregrasp": Case("pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run"),
-    "station": Case("station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0", served=True),
+    "pregrasp": Case(
+        "pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run --json {out}/run/r.json",
+        steps=("run/pushes/*", "run/run.json"), itself=True,
+    ),
+    "station": Case(
+        "station --scenario {data}/cell.yaml --lcm udpm://239.255.76.97:7697?ttl=0",
+        until="running", itself=True,
+    ),
     "record": Case(
-        "record --lcm udpm://239.255.76.97:7698?ttl=0 -o {out}/pushes --log {out}/log.mcap", served=True
+        f"record --lcm {RECORDED} --scenario {{data}}/made_up.yaml -o {{out}}/pushes --log {{out}}/log.mcap",
+        until="is kept", itself=True, steps=("*",), heard=True,
     ),
-    "replay": Case("replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"),
+    "replay": Case(
+        "replay {data}/log.mcap --scenario {data}/made_up.yaml -o {out}/replay --hypotheses 4"
+        " --json {out}/replay/r.json",
+        steps=("replay/pushes/*",),
+    ),
     "object": Case("object {data}/ring.stl -o {out}/ring.yaml --finger 0.008"),
     "import": Case(
         "import {data}/take_001.csv {data}/robot.log {data}/force.csv --setup {data}/setup.yaml -o"
-        " {out}/pushes"
+        " {out}/pushes",
+        steps=("pushes.png",),
     ),
     "check": Case("check {data}/pushes -o {out}/check.html --json {out}/check.json"),
-    "identify": Case("identify {data}/pushes -o {out}/belief.npz --json {out}/belief.json"),
+    "identify": Case(
+        "identify {data}/pushes --plain --hypotheses 4 -o {out}/belief.npz --json {out}/belief.json"
+    ),
     "predict": Case("predict {data}/pushes --belief {data}/belief.npz -o {out}/p.png --json {out}/p.json"),
     "view": Case("view {data}/belief.npz --html {out}/view.html"),
     "compare": Case("compare {data}/pushes --belief {data}/belief.npz -o {out}/c.html --json {out}/c.json"),
     "diagnose": Case("diagnose {data}/pushes --quick -o {out}/d.html --json {out}/d.json"),
-    "fit": Case("fit {data}/pushes --effect table_tilt -o {out}/fit.npz --json {out}/fit.json"),
+    "fit": Case(
+        "fit {data}/pushes --effect table_tilt --hypotheses 4 -o {out}/fit.npz --json {out}/fit.json"
+    ),
     "effects": Case("effects table_tilt --picture {out}/tilt.png --json {out}/tilt.json"),
     "export": Case("export {data}/belief.npz --to sdf -o {out}/sdf"),
-    "calibrate": Case("calibrate --objects 2 -o {out}/cal.png --json {out}/cal.json"),
+    "calibrate": Case("calibrate --objects 1 -o {out}/cal.png --json {out}/cal.json"),
     "explore-study": Case(
-        "explore-study --object hammer --runs 1 --pushes 1 --checks 1 -o {out}/study --json {out}/study.json"
+        "explore-study --object hammer --runs 1 --pushes 1 --checks 1 -o {out}/study --json {out}/study.json",
+        steps=("study/*",), itself=True,
     ),
-    "campaign": Case("campaign fig4 --objects hammer --trials 2 -o {out}/campaign --json {out}/c.json"),
-    "blind-test": Case("blind-test --count 1 -o {out}/blind"),
-    "audit": Case("audit drake -o {out}/audit.html --json {out}/audit.json"),
+    "campaign": Case(
+        "campaign fig4 --objects hammer --trials 1 --workers 2 -o {out}/campaign --json {out}/c.json",
+        steps=("campaign/*/*",), itself=True,
+    ),
+    "blind-test": Case("blind-test --count 1 -o {out}/blind", steps=("blind/blind-*",)),
+    "audit": Case("audit {data}/engine.py:Coarse -o {out}/audit.html --json {out}/audit.json"),
     "bench": Case("bench --json {out}/bench.json"),
     "completion": Case("completion bash"),
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a command is ended: at an event of its own, or some time after a line on standard error."""
+
+    kind: str  # `import`, `file` or `line`
+    number: int  # of the event of this kind, from 1
+    what: str  # the event in words
+    after: float = 0.0  # s
 
 
 def main() -> None:
@@ -93,120 +212,305 @@ def main() -> None:
     reader.add_argument("commands", nargs="*", metavar="COMMAND", default=list(CASES))
     reader.add_argument("--moments", type=int, default=10)
     asked = reader.parse_args()
-    data = made_data(asked.folder / "data")
+    folder = asked.folder.resolve()
+    data = made_data(folder / "data")
+    hook = folder / "hook"
+    hook.mkdir(exist_ok=True)
+    (hook / "sitecustomize.py").write_text(HOOK)
     for name in asked.commands:
-        out, case, faults, stopped = asked.folder / "out" / name, CASES[name], 0, 0
+        kind = Study if CASES[name].itself else StudyOfCopies
+        kind(name, folder, data, asked.moments).run()
 
-        def complain(text: str) -> None:
-            nonlocal faults
-            faults += 1
-            print(f"    {text}", flush=True)
 
-        for _ in range(2):
-            fresh(out)
-            seconds, whole = whole_run(case, out, data)
-        print(f"{name}: {seconds:.1f} s", flush=True)
-        if whole:
-            complain(f"the whole run ends with {whole}")
+class Study:
+    """A command, ended again and again."""
+
+    def __init__(self, name: str, folder: Path, data: Path, moments: int) -> None:
+        self.name, self.case, self.data, self.moments = name, CASES[name], data, moments
+        self.out, self.hook = folder / "out" / name, folder / "hook"
+        self.scratch, self.errors, self.log = (
+            folder / "out" / f"{name}.{end}" for end in ("tmp", "err", "log")
+        )
+        self.faults = self.stopped = 0
+        with open(data / "log.mcap", "rb") as file:
+            self.events = list(McapReader(file, "log")) if self.case.heard else []
+        self.ended_now = threading.Event()
+
+    def run(self) -> None:
+        """Say what is wrong."""
+        self.fresh()
+        begin = time.monotonic()
+        process = self.started(self.case.words, "whole", [], 0)
+        if self.case.until:
+            while process.poll() is None and not self.told():
+                time.sleep(0.1)
+            time.sleep(1.0)
+            process.send_signal(signal.SIGINT)
+        self.whole = self.finished(process)
+        self.seconds = time.monotonic() - begin
+        self.complete = set(self.together())
+        moments = self.chosen(self.log.read_text().splitlines(), self.said())
+        print(
+            f"{self.name}: {self.seconds:.1f} s, results: {', '.join(sorted(self.complete)) or 'none'}",
+            flush=True,
+        )
+        if self.whole:
+            self.complain("a whole run", f"ends with {self.whole}: {self.said()[-1:]}")
         for number in (signal.SIGINT, signal.SIGKILL):
-            for moment in range(asked.moments):
-                fresh(out)
-                ended = End(case, out, data, number, (moment + 0.5) / asked.moments * seconds)
-                stopped += ended.signalled
-                for text in ended.complaints(whole):
-                    complain(f"{number.name} at {ended.moment:.1f} s: {text}")
-        for text in goes_on(case, out, data):
-            complain(text)
-        print(f"{name}: {stopped} of {2 * asked.moments} were stopped, {faults} complaints", flush=True)
+            for index, moment in enumerate(moments):
+                self.fresh()
+                for text in self.ended(moment, number, group=index % 2 == 0):
+                    self.complain(f"{number.name} at {moment.kind} {moment.number} ({moment.what})", text)
+        for text in self.goes_on():
+            self.complain("afterwards", text)
+        count = 2 * len(moments)
+        print(f"{self.name}: {self.stopped} of {count} were stopped, {self.faults} complaints", flush=True)
 
+    def complain(self, when: str, text: str) -> None:
+        """Say what is wrong."""
+        self.faults += 1
+        print(f"    {when}: {text}", flush=True)
 
-def fresh(out: Path) -> None:
-    """An empty folder."""
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
+    def fresh(self) -> None:
+        """Begin with empty folders."""
+        for folder in (self.out, self.scratch):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        self.log.unlink(missing_ok=True)
 
+    def started(
+        self, words: str, mark: str, event: list[object], number: int, **more: object
+    ) -> subprocess.Popen[bytes]:
+        """The command, which ends itself by a signal at an event, if one is given."""
+        command = [sys.executable, "-m", "slipmap", *words.format(out=self.out, data=self.data).split()]
+        under = [str(self.out), str(self.scratch)]
+        plan = {"event": event, "signal": number, "log": str(self.log), "under": under, **more}
+        path = os.pathsep.join(filter(None, [str(self.hook), os.environ.get("PYTHONPATH")]))
+        environment = os.environ | {MARK: mark, "TMPDIR": str(self.scratch), "PYTHONPATH": path}
+        environment[PLAN] = json.dumps(plan)
+        self.ended_now.clear()
+        if self.case.heard:
+            threading.Thread(target=self.play, daemon=True).start()
+        with open(self.errors, "wb") as errors:
+            return subprocess.Popen(
+                command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+                start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            )  # fmt: skip
 
-def started(words: str, out: Path, data: Path, mark: str) -> subprocess.Popen[bytes]:
-    """The command, with signals as in a terminal."""
-    command = [sys.executable, "-m", "slipmap", *words.format(out=out, data=data).split()]
-    scratch = out.parent / "tmp"
-    scratch.mkdir(exist_ok=True)
-    environment = os.environ | {MARK: mark, "TMPDIR": str(scratch)}
-    with open(out.parent / f"{out.name}.err", "wb") as errors:
-        return subprocess.Popen(
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
+    def finished(self, process: subprocess.Popen[bytes]) -> int:
+        """The exit code of the command; what sent it messages ends too."""
+        code = process.wait()
+        self.ended_now.set()
+        return code
 
+    def play(self) -> None:
+        """Send the messages of an arm and a camera once the command listens, until it ends."""
+        while not (self.out / "log.mcap").exists():
+            if self.ended_now.wait(0.1):
+                return
+        lcm, begin = DrakeLcm(RECORDED), time.monotonic() + 2.0
+        for event in self.events:
+            due = begin + 1e-6 * (event.utime - self.events[0].utime)
+            if self.ended_now.wait(max(due - time.monotonic(), 0.0)):
+                return
+            lcm.Publish(event.channel, event.data)
 
-def whole_run(case: Case, out: Path, data: Path) -> tuple[float, int]:
-    """How long the command takes, s, and how it ends."""
-    begin = time.monotonic()
-    process = started(case.words, out, data, "whole")
-    if case.served:
-        time.sleep(case.seconds)
-        process.send_signal(signal.SIGINT)
-    code = process.wait()
-    return time.monotonic() - begin, code
+    def said(self) -> list[str]:
+        """Lines on standard error."""
+        return self.errors.read_text(errors="replace").splitlines()
 
+    def told(self) -> bool:
+        """Whether the command, which ends by Ctrl-C alone, has said what is awaited."""
+        return self.case.until in " ".join(line.strip() for line in self.said())
 
-class End:
-    """A run that was ended, and what it left."""
+    def chosen(self, events: Sequence[str], lines: Sequence[str]) -> list[Moment]:
+        """Moments: three while modules are loaded, three after lines, and the others at files."""
+        happened = {
+            kind: [event for event in events if event.startswith(kind)] for kind in ("import", "file")
+        }
+        few = min(3, len(lines))
+        spread = [(2 * k + 1) * len(lines) // (2 * few) for k in range(few)]
+        found = [
+            Moment("line", at + 1, lines[at], after)
+            for at, after in zip(spread, (0.05, 0.2, 0.5), strict=False)
+        ]
+        for kind, least in (("file", self.moments - 3 - few), ("import", self.moments)):
+            there = happened[kind]
+            count = min(least if kind == "file" else self.moments - len(found), len(there))
+            last = (len(there) - 1) * (1.0 if kind == "file" else 0.25)
+            places = sorted({round(k * last / max(count - 1, 1)) for k in range(count)})
+            found += [Moment(kind, place + 1, there[place].partition(" ")[2]) for place in places]
+        return found
 
-    def __init__(self, case: Case, out: Path, data: Path, number: signal.Signals, moment: float) -> None:
-        self.case, self.out, self.number, self.moment = case, out, number, moment
-        self.mark = f"{os.getpid()}-{time.monotonic_ns()}"
-        process = started(case.words, out, data, self.mark)
-        self.signalled = False
-        try:
-            process.wait(timeout=moment)
-        except subprocess.TimeoutExpired:
-            process.send_signal(number)
-            self.signalled = True
-        self.asked = time.monotonic()
-        try:
-            self.code = process.wait(timeout=60)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            self.code = 999
-        self.took = time.monotonic() - self.asked
-
-    def complaints(self, whole: int) -> Iterator[str]:
-        """What is wrong."""
-        said = (self.out.parent / f"{self.out.name}.err").read_text(errors="replace")
-        if "Traceback" in said and "slipmap" not in said:
-            return  # Python itself was still being loaded
-        allowed = {whole, 130} if self.number == signal.SIGINT else {whole, -signal.SIGKILL}
-        if self.code not in allowed:
-            yield f"exit code {self.code}: {said.strip().splitlines()[-1:]}"
-        if "Traceback" in said or "internal failure" in said:
-            yield f"traceback: {said.strip().splitlines()[-1]}"
-        if self.took > 5.0:
-            yield f"ended {self.took:.0f} s after the signal"
-        left = processes(self.mark)
-        if left:
+    def ended(self, moment: Moment, number: signal.Signals, *, group: bool) -> Iterator[str]:
+        """What is wrong when the command ends at a moment; Ctrl-C reaches its workers too if `group`."""
+        mark = f"{os.getpid()}-{time.monotonic_ns()}"
+        event: list[object] = [] if moment.kind == "line" else [moment.kind, moment.number]
+        process = self.started(self.case.words, mark, event, number)
+        begin = time.monotonic()
+        asked = None
+        while process.poll() is None:
+            time.sleep(0.01)
+            now = time.monotonic()
+            if asked is not None:
+                if now - asked > 60.0:
+                    process.kill()
+            elif event and self.log.exists() and "signal" in self.log.read_text():
+                asked = now
+            elif not event and len(self.said()) >= moment.number:
+                time.sleep(moment.after)
+                send = os.killpg if group and number == signal.SIGINT else os.kill
+                send(process.pid, number)
+                asked = now
+            elif self.case.until and self.told() and now - begin > 1.5 * self.seconds:
+                process.send_signal(signal.SIGINT)
+                asked = now
+        code, took = self.finished(process), 0.0 if asked is None else time.monotonic() - asked
+        self.stopped += asked is not None and code != self.whole
+        if asked is not None and code == self.whole and not self.case.until:
+            print(f"    ({number.name} at {moment.kind} {moment.number}, {moment.what}: goes on to its end)")
+        yield from self.complaints(number, code, took, self.said())
+        if left := processes(mark):
             yield f"left behind: {left}"
-        for path in sorted(path for path in self.out.rglob("*") if path.is_file()):
-            name = path.relative_to(self.out)
-            if path.name.startswith(".slipmap."):  # removed by whoever writes there next
-                if self.number == signal.SIGINT:
-                    yield f"a file left over: {name}"
-            elif (why := broken(path)) is not None:
-                yield f"{name} is not whole: {why}"
-        scratch = self.out.parent / "tmp"
-        found = [path.name for path in scratch.iterdir()]
-        if found and self.number == signal.SIGINT:
-            yield f"left in the folder for temporary files: {found}"
-        shutil.rmtree(scratch)
+
+    def complaints(
+        self, number: signal.Signals, code: int, took: float, said: Sequence[str]
+    ) -> Iterator[str]:
+        """What is wrong with a command that has ended."""
+        allowed = {self.whole, 130} if number == signal.SIGINT else {self.whole, -signal.SIGKILL}
+        if code not in allowed:
+            yield f"exit code {code}: {said[-1:]}"
+        if any("Traceback" in line or "internal failure" in line for line in said):
+            yield f"traceback: {said[-1]}"
+        if took > PATIENCE:
+            yield f"ended {took:.0f} s after the signal"
+        parts = [*self.out.rglob(".slipmap.*")]
+        if number == signal.SIGINT:
+            yield from (f"a temporary file left over: {part.relative_to(self.out)}" for part in parts)
+            if found := [path.name for path in self.scratch.iterdir()]:
+                yield f"left in the folder for temporary files: {found}"
+        for path in self.files():
+            if (why := broken(path)) is not None:
+                yield f"{path.relative_to(self.out)} is not whole: {why}"
+        there = set(self.together())
+        if there and there < self.complete:
+            yield f"results without {', '.join(sorted(self.complete - there))}"
+        for folder in {part.parent for part in parts}:  # whoever writes there next removes them
+            write_json(folder / "next.json", {})
+            if still := [part.name for part in folder.glob(f"{PART}*")]:
+                yield f"not removed by the next command: {still}"
+
+    def files(self) -> list[Path]:
+        """Files in the output that are not temporary."""
+        every = (path for path in self.out.rglob("*") if path.is_file())
+        own = (path for path in every if not any(part.startswith(".slipmap.") for part in path.parts))
+        return sorted(path for path in own if path.name != "next.json")
+
+    def together(self) -> Iterator[str]:
+        """Names of the files that appear together."""
+        for path in self.files():
+            name = str(path.relative_to(self.out))
+            if not any(fnmatch(name, pattern) for pattern in self.case.steps):
+                yield name
+
+    def goes_on(self) -> Iterator[str]:
+        """What is wrong when the command is given once more after the last kill."""
+        if self.case.until:
+            return
+        ran = self.case.again is not None and any((self.out / "run").glob("run.json"))
+        words = self.case.again if ran and self.case.again else self.case.words
+        code = self.finished(self.started(words, "again", [], 0))
+        said = self.said()
+        for part in self.out.rglob(".slipmap.*"):
+            yield f"still left over: {part.relative_to(self.out)}"
+        if code and not any("exists already" in line for line in said):  # where the last signal was too late
+            yield f"`{words}`: exit code {code}: {said[-1:]}"
 
 
-def processes(mark: str, patience: float = 5.0) -> list[str]:
-    """Processes that are still there after some seconds."""
+class StudyOfCopies(Study):
+    """A command that runs once; at each moment, copies of its process are made and ended."""
+
+    def run(self) -> None:
+        """Say what is wrong."""
+        self.fresh()
+        ask, answer = (self.out.with_name(f"{self.name}.{end}") for end in ("ask", "answer"))
+        for pipe in (ask, answer):
+            pipe.unlink(missing_ok=True)
+            os.mkfifo(pipe)
+        self.mark, begin = f"{os.getpid()}-{time.monotonic_ns()}", time.monotonic()
+        reader, self.answer = os.open(ask, os.O_RDONLY | os.O_NONBLOCK), os.open(answer, os.O_RDWR)
+        more = {"ask": str(ask), "answer": str(answer), "imports": [2, 20, 40, 60, 80, 150, 400, 800, 1200]}
+        self.process, self.whole = self.started(self.case.words, self.mark, [], 0, **more), 0
+        self.found: list[tuple[str, str, set[str]]] = []
+        self.complete, count, rest = set[str](), 0, b""
+        while self.process.poll() is None:
+            if not select.select([reader], [], [], 0.2)[0] or not (came := os.read(reader, 1 << 16)):
+                time.sleep(0.01)
+                if count and time.monotonic() - self.since > 60.0 and self.copy:
+                    os.kill(self.copy, signal.SIGKILL)
+                continue
+            *lines, rest = (rest + came).split(b"\n")
+            for line in lines:
+                word, _, told = line.decode().partition(" ")
+                if word == "moment":
+                    self.keep(told)
+                elif word == "copy":
+                    self.copy, self.since = int(told), time.monotonic()
+                else:
+                    self.judge(os.waitstatus_to_exitcode(int(told)))
+                    count += 1
+        self.whole, self.complete = self.finished(self.process), set(self.together())
+        for when, text, there in self.found:
+            if text:
+                self.complain(when, text)
+            elif there and there < self.complete:
+                lacking = f"results without {', '.join(sorted(self.complete - there))}"
+                if when.startswith("SIGKILL at os.rename"):
+                    print(f"    ({when}: {lacking}, for microseconds)")
+                else:
+                    self.complain(when, lacking)
+        results = ", ".join(sorted(self.complete)) or "none"
+        print(f"{self.name}: {time.monotonic() - begin:.0f} s, exit code {self.whole}, results: {results}")
+        print(f"{self.name}: {count} copies were ended, {self.faults} complaints", flush=True)
+
+    def keep(self, told: str) -> None:
+        """Keep the files as they are before a copy is ended."""
+        number, _, self.what = told.partition(" ")
+        self.number, self.copy = signal.Signals(int(number)), 0
+        self.since, self.spoken = time.monotonic(), len(self.said())
+        for folder in (self.out, self.scratch):
+            kept = folder.with_name(f"{folder.name}.kept")
+            shutil.rmtree(kept, ignore_errors=True)
+            shutil.copytree(folder, kept, copy_function=os.link, symlinks=True)
+        os.write(self.answer, b"k")
+
+    def judge(self, code: int) -> None:
+        """Note what is wrong with an ended copy, and bring the files back."""
+        when = f"{self.number.name} at {self.what}"
+        for part in sorted(self.out.rglob(f".slipmap.*.{self.process.pid}.*")):  # as if of a dead process
+            part.rename(part.with_name(part.name.replace(f".{self.process.pid}.", f".{self.copy}.", 1)))
+        said = self.said()[self.spoken :]
+        texts = list(self.complaints(self.number, code, time.monotonic() - self.since, said))
+        if left := processes(self.mark, apart=str(self.process.pid)):
+            texts.append(f"left behind: {left}")
+        self.found += [(when, text, set()) for text in texts]
+        self.found.append((when, "", set(self.together())))
+        if code == 0:
+            print(f"    ({when}: goes on to its end)")
+        for folder in (self.out, self.scratch):
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            kept = folder.with_name(f"{folder.name}.kept")
+            shutil.copytree(kept, folder, copy_function=os.link, symlinks=True, dirs_exist_ok=True)
+        os.write(self.answer, b"b")
+
+
+def processes(mark: str, apart: str = "", patience: float = 5.0) -> list[str]:
+    """Processes with a mark that are still there after some seconds, apart from that of a number."""
     for _ in range(int(patience / 0.25)):
         found = []
         for place in Path("/proc").iterdir():
-            if place.name.isdigit():
+            if place.name.isdigit() and place.name != apart:
                 try:
                     if f"{MARK}={mark}".encode() in (place / "environ").read_bytes().split(b"\0"):
                         found.append((place / "cmdline").read_bytes().replace(b"\0", b" ").decode()[:120])
@@ -235,25 +539,13 @@ def broken(path: Path) -> str | None:
         elif path.suffix == ".png":
             if not path.read_bytes().endswith(b"IEND\xaeB`\x82"):
                 return "no end"
+        elif path.name.startswith("."):
+            return "it is hidden"
         elif path.stat().st_size == 0 and path.suffix != ".mcap":
             return "empty"
     except (OSError, ValueError, zipfile.BadZipFile, yaml.YAMLError) as error:
         return f"{type(error).__name__}: {error}"
     return None
-
-
-def goes_on(case: Case, out: Path, data: Path) -> list[str]:
-    """What is wrong when the command is given once more after the last kill."""
-    if case.served:
-        return []
-    words = case.words if case.again is None or not any((out / "run").glob("run.json")) else case.again
-    process = started(words, out, data, "again")
-    code = process.wait()
-    said = (out.parent / f"{out.name}.err").read_text(errors="replace").strip().splitlines()
-    parts = [f"still left over: {part.relative_to(out)}" for part in out.rglob(".slipmap.*")]
-    if code == 0 or any("exists already" in line for line in said):  # the last signal was too late
-        return parts
-    return [f"`{words}` afterwards: exit code {code}: {said[-1:]}"]
 
 
 def made_data(folder: Path) -> Path:
@@ -262,6 +554,7 @@ def made_data(folder: Path) -> Path:
         return folder
     folder.mkdir(parents=True)
     (folder / "cell.yaml").write_text(SMALL)
+    (folder / "engine.py").write_text(COARSE)
     trimesh.creation.annulus(0.03, 0.05, 0.03).export(folder / "ring.stl")
     dataset = slipmap.simulated_hammer(fit=4, heldout=1)[0]
     write_dataset(dataset, folder / "pushes")

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from refusals import assert_refused, files_in
 
-from slipmap.__main__ import main
 from slipmap.diagrams.application.command_line import slipmap as group
 from slipmap.diagrams.perception.renderer import RendererUnavailable
 from slipmap.models.files import BadInput
@@ -224,19 +223,27 @@ def test_ctrl_c_leaves_nothing_behind(slipmap, tilted_folder, tmp_path, monkeypa
     assert files_in(tmp_path) == []
 
 
-def test_ctrl_c_while_the_commands_are_being_loaded(monkeypatch, capsys):
-    class Interrupted:
-        @staticmethod
-        def find_spec(name, path=None, target=None):
-            if name == "slipmap.diagrams.application.command_line":
-                raise KeyboardInterrupt
+LOADING = """
+import sys
+from slipmap.__main__ import main
 
-    monkeypatch.delitem(sys.modules, "slipmap.diagrams.application.command_line")
-    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 130
-    assert capsys.readouterr() == ("", "slipmap: stopped; nothing half-written is left behind\n")
+class Interrupted:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == "slipmap.diagrams.application.command_line":
+            exec("raise KeyboardInterrupt")
+
+sys.meta_path.insert(0, Interrupted)
+main()
+"""
+
+
+def test_ctrl_c_while_the_commands_are_being_loaded(tmp_path):
+    """Within `exec`, as while a module makes a dataclass; `python -m` then remembers to end by the signal."""
+    (tmp_path / "loading.py").write_text(LOADING)
+    command = [sys.executable, "-m", "loading"]
+    done = subprocess.run(command, env=ENVIRONMENT, cwd=tmp_path, capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

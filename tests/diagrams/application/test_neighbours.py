@@ -5,19 +5,33 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
 from test_command_line import ENVIRONMENT, files_in, hear_ctrl_c
 
 from slipmap.diagrams.application import terminal
+from slipmap.diagrams.application.commands import record
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
-from slipmap.models.files import PART, BadInput, together, write_json, write_text
+from slipmap.diagrams.hardware import child
+from slipmap.diagrams.hardware.child import Child
+from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
+from slipmap.models.files import (
+    PART,
+    BadInput,
+    replaced_file,
+    replaced_folder,
+    together,
+    write_json,
+    write_text,
+)
 
 HOLDS = """
 import sys
@@ -75,6 +89,26 @@ def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     assert files_in(tmp_path) == sorted([*kept, "belief.json"])
 
 
+def test_what_a_killed_campaign_left_goes_with_its_next_trial(tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    (tmp_path / f"{PART}{gone.pid}.trial.json").touch()
+    with replaced_file(tmp_path / "trial.json") as part:
+        part.touch()
+    assert files_in(tmp_path) == ["trial.json"]
+
+
+def test_ctrl_c_while_the_latency_of_the_camera_is_estimated_is_heard(monkeypatch):
+    """`slipmap replay` would go on without it."""
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("slipmap.models.inference.camera_lag.camera_lag", stop)
+    with pytest.raises(KeyboardInterrupt):
+        record._shown_lag(None)
+
+
 def test_a_part_that_may_not_be_removed_does_not_cost_the_results(tmp_path, monkeypatch):
     gone = subprocess.Popen(["true"])
     gone.wait()
@@ -112,6 +146,116 @@ def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeyp
     assert files_in(tmp_path) == ["a", "b"]
 
 
+def interrupted_at(monkeypatch, name):
+    """Let the first call of a function of `os` be preceded by Ctrl-C."""
+    function, times = getattr(os, name), []
+
+    def call(*arguments, **options):
+        if not times:
+            times.append(1)
+            os.kill(os.getpid(), signal.SIGINT)
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(os, name, call)
+
+
+@pytest.mark.parametrize("write", ["together", "a folder"])
+def test_ctrl_c_while_temporary_files_are_removed_leaves_none(tmp_path, monkeypatch, write):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    interrupted_at(monkeypatch, "rmdir" if write == "a folder" else "unlink")
+    try:
+        with pytest.raises((KeyboardInterrupt, BadInput)):
+            if write == "a folder":
+                with replaced_folder(tmp_path / "new") as fresh:
+                    fresh.mkdir()
+            else:
+                with together():
+                    write_text(tmp_path / "a", "new")
+                    write_text(tmp_path / "b", "new")
+                    raise BadInput
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert [path.name for path in tmp_path.iterdir()] == (["new"] if write == "a folder" else [])
+
+
+def test_ctrl_c_while_a_push_is_written_still_stops_the_arm_first(tmp_path, monkeypatch):
+    aborts: list[int] = []
+    interrupted_at(monkeypatch, "unlink")
+    with stopped_by_ctrl_c(SimpleNamespace(abort=lambda: aborts.append(1))) as pressed:
+        with pytest.raises(BadInput), together():
+            write_text(tmp_path / "a", "new")
+            raise BadInput
+        assert pressed() and aborts == [1]
+
+
+TWO_FILES = """
+import os, sys
+from pathlib import Path
+from slipmap.models import files
+
+replace, flock, who, times = os.replace, files.fcntl.flock, sys.argv[1], []
+
+def halt(part, file):
+    replace(part, file)
+    if who == "first" and not times:
+        times.append(1)
+        print("amid", flush=True)
+        sys.stdin.readline()
+
+def told(place, how):
+    if who == "second":
+        print("waits", flush=True)
+    flock(place, how)
+
+os.replace, files.fcntl.flock = halt, told
+with files.together():
+    for name in ("belief", "picture"):
+        files.write_text(Path(sys.argv[2]) / name, who)
+print("done", flush=True)
+"""
+
+
+def test_files_of_one_result_are_of_one_process(tmp_path):
+    """The second begins to rename while the first is amid its two files."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": ENVIRONMENT}
+    command = [sys.executable, "-c", TWO_FILES]
+    with subprocess.Popen([*command, "first", tmp_path], **pipes) as first:
+        assert first.stdout.readline() == "amid\n"
+        with subprocess.Popen([*command, "second", tmp_path], **pipes) as second:
+            second.stdout.readline()  # it waits, or is done
+            first.communicate("\n")
+            second.communicate()
+        assert first.returncode == second.returncode == 0
+    assert files_in(tmp_path) == ["belief", "picture"]
+    assert {(tmp_path / name).read_text() for name in ("belief", "picture")} == {"second"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("effects", "table_tilt", "--picture", "tilt.png", "--json", "tilt.json"),
+        ("check", "DATASET", "-o", "check.html", "--json", "check.json"),
+    ],
+)
+def test_a_picture_or_page_does_not_appear_without_the_numbers(
+    slipmap, tilted_folder, tmp_path, monkeypatch, words
+):
+    module = import_module(f"slipmap.diagrams.application.commands.{DEFINED[words[0]]}")
+
+    def stop(path, document) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "write_json", stop)
+    monkeypatch.chdir(tmp_path)
+    said = slipmap(*(tilted_folder if word == "DATASET" else word for word in words))
+    assert said.code == 130 and files_in(tmp_path) == []
+
+
+DEFINED = {"effects": "effects", "check": "datasets"}
+"""Module of each command."""
+
+
 def test_a_folder_has_one_writer_at_a_time(tmp_path):
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", HOLDS, tmp_path], text=True, **pipes) as other:
@@ -146,6 +290,48 @@ def test_workers_of_a_killed_process_end(tmp_path):
         os.kill(int(master.stdout.readline()), 0)  # the worker is there
         master.kill()
         assert master.stdout.read() == b""
+
+
+IDLE = """
+import time
+from slipmap.diagrams.hardware.child import Child, be_ready
+
+def idle():
+    be_ready()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    import parent
+    Child("a process that is busy for long", parent.idle)
+    print("there", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_busy_child_of_a_killed_process_ends(tmp_path):
+    """It has the standard error of its parent, which closes when the last of them is gone."""
+    (tmp_path / "parent.py").write_text(IDLE)
+    command = [sys.executable, "-m", "parent"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=ENVIRONMENT, cwd=tmp_path, **pipes) as parent:
+        assert parent.stdout.readline() == b"there\n"
+        parent.kill()
+        assert select.select([parent.stderr], [], [], 60.0)[0] and parent.stderr.read() == b""
+
+
+def test_ctrl_c_while_a_child_starts_ends_it(monkeypatch):
+    class Interrupted(Child):
+        @property
+        def output(self):
+            raise KeyboardInterrupt
+
+    begun, popen = [], subprocess.Popen
+    monkeypatch.setattr(
+        child.subprocess, "Popen", lambda *words, **how: begun.append(popen(*words, **how)) or begun[0]
+    )
+    with pytest.raises(KeyboardInterrupt):
+        Interrupted("a process that waits", input)
+    assert begun[0].returncode == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("reader", ["gone", "never there"])
@@ -205,6 +391,41 @@ def test_a_signal_while_an_object_is_deleted_is_heard(name, begin):
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
 
 
+BROKEN_OFF = """
+import os, signal, time
+from contextlib import suppress
+from slipmap.diagrams.application import command_line
+
+class HalfMade:
+    def __init__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+        self.handle = 1
+
+    def __del__(self):
+        self.handle
+
+def half_made(*_, **__):
+    HalfMade()
+
+def half_loaded(*_, **__):
+    with suppress(KeyboardInterrupt):
+        HalfMade.__init__(None)
+    raise ImportError("numba._devicearray failed to import")
+
+command_line.slipmap.main = WORK
+command_line.main()
+"""
+
+
+@pytest.mark.parametrize("work", ["half_made", "half_loaded"])
+def test_what_ctrl_c_breaks_off_in_a_library_is_no_failure(work):
+    """Modules in C forget why they could not be loaded, and objects that are half made fail when deleted."""
+    command = [sys.executable, "-c", BROKEN_OFF.replace("WORK", work)]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c, timeout=50)
+    assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
 COMMAND_STOPPED = """
 from slipmap.diagrams.application import command_line
 command_line.slipmap.main = lambda *_, **__: exec("raise KeyboardInterrupt")
@@ -218,6 +439,25 @@ def test_ctrl_c_within_exec_has_the_usual_exit_code(tmp_path):
     command = [sys.executable, "-m", "stopped"]
     done = subprocess.run(command, env=ENVIRONMENT, cwd=tmp_path, capture_output=True)
     assert (done.returncode, done.stderr) == (130, b"slipmap: stopped; nothing half-written is left behind\n")
+
+
+TAKEN = """
+import os, signal, sys
+
+def press(event, arguments):
+    if event == "import" and arguments[0] == "scipy.optimize._minimize":
+        os.kill(os.getpid(), signal.SIGINT)
+
+sys.addaudithook(press)
+import slipmap.models.objects.meshes
+print("gone on")
+"""
+
+
+def test_ctrl_c_is_heard_though_a_library_takes_it_for_a_missing_one():
+    command = [sys.executable, "-c", TAKEN]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c)
+    assert b"KeyboardInterrupt" in done.stderr and done.stdout == b""
 
 
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
@@ -237,19 +477,32 @@ def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
 
     now = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
-    monkeypatch.setattr(event, "timer", lambda: now)
     monkeypatch.setattr(terminal, "_compiling", [])
     terminal.prepare_kernels()
     pace = terminal._Pace(0)
-    with event.trigger_event("numba:compile"):
+    lock = "numba:compiler_lock"
+    with event.trigger_event(lock):
         now = 10.0
-        with event.trigger_event("numba:compile"):
+        with event.trigger_event(lock):
             now = 30.0
     pace.note(1, 100)
     assert pace.left() is None  # one of a hundred says little
     now = 32.0
     pace.note(4, 100)
     assert pace.left() == pytest.approx(96 * 0.5)
+    with event.trigger_event(lock):  # as a bar shows it in the meantime
+        now = 132.0
+        assert pace.left() == pytest.approx(96 * 0.5)
+
+
+def test_formulas_of_effects_are_compiled_under_the_lock_that_the_pace_watches(monkeypatch):
+    from numba import cfunc, float64
+
+    monkeypatch.setattr(terminal, "_compiling", [])
+    terminal.prepare_kernels()
+    assert terminal._compiling[0].seconds == 0.0
+    cfunc(float64(float64))(lambda x: x + 1.0)
+    assert terminal._compiling[0].seconds > 0.0
 
 
 def test_parts_that_come_at_once_do_not_promise_an_early_end(monkeypatch):

@@ -119,6 +119,13 @@ def test_a_wrong_header_is_answered_with_the_right_one(tmp_path, header, words):
         assert word in str(caught.value)
 
 
+def test_the_suggested_import_quotes_the_file(tmp_path):
+    (tmp_path / "two words").mkdir()
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(write(tmp_path / "two words", lines(), HEADER.replace(",", ";")), object_name="rect1")
+    assert f"`slipmap import '{tmp_path}/two words/push.csv' --guess`" in str(caught.value)
+
+
 def test_an_unknown_column_is_mentioned(tmp_path):
     rows = [row + ",1.5" for row in lines()]
     warnings = read_dataset(write(tmp_path, rows, HEADER + ",humidity"), object_name="rect1").warnings

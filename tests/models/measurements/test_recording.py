@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from example_dataset import example_in
 
+from slipmap.models.files import write_json
 from slipmap.models.measurements import DatasetError, read_dataset, write_dataset, writing as recording
 from slipmap.models.measurements.writing import PushRecorder
 
@@ -163,6 +164,8 @@ def test_a_killed_process_loses_nothing_that_was_kept(tmp_path):
         found = read_dataset(folder / "pushes")
         assert said <= len(found.trials) <= said + 1
         same(found, growing(len(found.trials)))
+        write_json(folder / "next.json", {})  # whatever the next command writes
+        assert {path.name for path in folder.iterdir()} == {"pushes", "next.json"}
 
 
 @pytest.mark.parametrize(("call", "named"), [(0, "trials/002.json"), (1, "dataset.yaml")])

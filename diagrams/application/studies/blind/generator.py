@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +32,7 @@ from slipmap.diagrams.application.studies.blind.secret_effects import (
     exact,
 )
 from slipmap.diagrams.application.studies.blind.world import Motion, World
-from slipmap.models.files import PART, replaced_file
+from slipmap.models.files import replaced_file, replaced_folder
 from slipmap.models.geometry import placed
 
 _RATE = 100.0  # Hz
@@ -239,17 +237,11 @@ def _description(name: str, thing: SlidingObject, roles: list[str]) -> dict[str,
 
 
 def _write(folder: Path, description: dict[str, Any], trials: list[dict[str, Any]]) -> None:
-    part = folder.with_name(f"{PART}{os.getpid()}.{folder.name}")
-    (part / "trials").mkdir(parents=True)
-    try:
+    with replaced_folder(folder) as part:
+        (part / "trials").mkdir(parents=True)
         for entry, trial in zip(description["trials"], trials, strict=True):
             (part / entry["file"]).write_text(json.dumps(trial), encoding="utf-8")
         (part / "dataset.yaml").write_text(_yaml(description), encoding="utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(part, folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _write_truth(
