@@ -74,7 +74,7 @@ def test_derivatives_are_those_of_the_maps(known, table):
 
     step = 1e-6 * np.eye(prior.size)
     pairs = [(reduced(z + s), reduced(z - s)) for s in step]
-    columns, first = prior.columns(prior.maps(z[None]))[0], N + INERTIA_COLUMNS + 1
+    columns, first = prior.columns(z[None], prior.maps(z[None]))[0], N + INERTIA_COLUMNS + 1
     expected = np.array([(up[0] - down[0]) / 2e-6 for up, down in pairs]).T
     assert columns[:first] == pytest.approx(expected, abs=1e-7)
     if table is not None:

@@ -82,10 +82,11 @@ def test_rescaled_coordinates_give_the_same_maps_at_other_strengths(prior):
     assert maps.mu == pytest.approx(np.repeat(usual.mu, 3, axis=0), rel=1e-9)
 
 
+@pytest.mark.parametrize("linear", [None, 1.0])
 @pytest.mark.parametrize("strength", [1.0, 2.5])
 @pytest.mark.parametrize("table", [None, Table("round", (-0.47, 0.01), radius=0.5)], ids=["floor", "rim"])
-def test_chain_rule_agrees_with_differences(strength, table):
-    prior = MapPrior(Slider(SQUARE, 0.005, table=table), PriorSettings(), mass=0.8)
+def test_chain_rule_agrees_with_differences(strength, table, linear):
+    prior = MapPrior(Slider(SQUARE, 0.005, table=table), PriorSettings(linear=linear), mass=0.8)
     rng = np.random.default_rng(2)
     z = 0.4 * rng.standard_normal((1, prior.size))
     steps = np.arange(101) * 0.005
@@ -98,7 +99,7 @@ def test_chain_rule_agrees_with_differences(strength, table):
     maps = prior.maps(z, strength)
     rollouts = prior.slider.rollout(maps, [push], sensitivities=True)
     assert rollouts.reached.all() == (table is not None) and not rollouts.tipped.any()
-    by_z = prior.chain(maps, rollouts.d_poses, strength)[0]
+    by_z = prior.chain(z, maps, rollouts.d_poses, strength)[0]
     size = np.abs(by_z).max()
     for column in [0, 1, 7, 40, 41, *range(prior.size - 3, prior.size)]:
         e = np.zeros((1, prior.size))
