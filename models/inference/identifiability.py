@@ -6,10 +6,10 @@ variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the 
 is left, where it was measured beforehand, or, if it is the parameter of an effect, where its 90 % interval
 excludes the value at which the effect vanishes.
 
-Hypotheses scatter by what pushes disagree about. The fits assume larger errors than that where the model is
-good, and are drawn towards the prior accordingly: an object unlike most is then off by more than hypotheses
-scatter. So an interval of what is shown follows from the scatter or from the posterior variance, averaged over
-the explanations, whichever is wider. (What is left open may be far from linear; there hypotheses tell.)
+Hypotheses scatter by what pushes disagree about. Where the model is good, the fits allow for larger errors
+than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
+interval of a quantity that is shown follows from the scatter or from the posterior variance, averaged over
+the explanations, whichever is wider. (What is left open may be far from linear; there hypotheses alone tell.)
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.gauss_newton import fit as fit_maps
+from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, weighed
 from slipmap.models.inference.observations import Observation, observe_all

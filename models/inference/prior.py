@@ -17,9 +17,9 @@ on l alone; its split between the two, which they do not show, depends on s. (In
 friction that leave the split as open would allow wild products.) Logarithms keep masses and frictions
 positive and independent of units: an object of 165 kg is as likely as one of 165 g.
 
-Usually w(x) = x. Then a massless cell is infinitely far from any other, and a prior with room for one also has
-room for cells that outweigh all others. A structure with `linear` c instead has loads that are linear in x, with
-a soft floor: w(x) = log softplus(c + x) - log softplus(c). Whole regions may then carry next to nothing.
+Usually w(x) = x. Then a massless cell is infinitely far from any other, and a prior with room for one also
+has room for cells that outweigh all others. With `linear` c, loads are linear in x down to a soft floor:
+w(x) = log softplus(c + x) - log softplus(c). Whole regions may then carry next to nothing.
 """
 
 from __future__ import annotations
@@ -91,9 +91,10 @@ STRUCTURES = {
     "few points": PriorSettings(load_map=4.0, split=0.5, white=0.95, modes=200),
     "uniform": PriorSettings(load_map=0.1, split=0.1, modes=20),
 }
-"""Kinds of maps: little variation, from cell to cell or smooth; loads that vary by as much as they are, down to
-nothing; distinct parts; load on a few cells; or hardly any variation. Of the first two, the smooth kind is for pushes that a law explains
-exactly; otherwise single cells absorb the law's errors better, without bending whole regions."""
+"""Kinds of maps: little variation, from cell to cell or smooth; loads that vary, in regions, from nothing to
+a few times the mean; distinct parts; load on a few cells; or hardly any variation. Of the first two, the
+smooth kind is for pushes that a law explains exactly; otherwise single cells absorb the law's errors better,
+without bending whole regions."""
 
 PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
 """Prior probability of each structure, up to a common factor."""
@@ -228,7 +229,7 @@ class MapPrior(EffectCoordinates):
         log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
 
         def projected(spread: float, rows: FloatArray, levels: int = 1) -> tuple[FloatArray, FloatArray]:
-            """Coordinates (K, r) of rows (K, n), up to a constant unless `levels` is 0, and the rows that they
+            """Coordinates (K, r) of rows (K, n), up to a constant if `levels` is 1, and the rows that they
             reproduce."""
             columns = np.column_stack([spread * self.basis, np.ones((self.basis.shape[0], levels))])
             found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][: self.basis.shape[1]].T
@@ -312,8 +313,8 @@ class MapPrior(EffectCoordinates):
     def chain(
         self, z: FloatArray, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0
     ) -> FloatArray:
-        """Convert derivatives (K, …, P) from a rollout's reduced columns, of the maps at z (K, size), to z and
-        start pose.
+        """Convert derivatives (K, …, P) from a rollout's reduced columns to z and start pose, for the maps at
+        z (K, size).
 
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
