@@ -5,6 +5,11 @@ information in the data: a quantity with gradient c over the coordinates has pri
 variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the prior's variance (half its width)
 is left, where it was measured beforehand, or, if it is the parameter of an effect, where its 90 % interval
 excludes the value at which the effect vanishes.
+
+Hypotheses scatter by what pushes disagree about. Where the model is good, the fits allow for larger errors
+than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
+interval of a quantity that is shown follows from the scatter or from the posterior variance, averaged over
+the explanations, whichever is wider. (What is left open may be far from linear; there hypotheses alone tell.)
 """
 
 from __future__ import annotations
@@ -12,12 +17,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.gauss_newton import Fits, fit
+from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
@@ -27,6 +33,14 @@ from slipmap.models.physics.rollout import Maps, Slider
 
 SHOWN_SHARE = 0.25
 """A quantity that keeps less than this share of its prior variance counts as shown."""
+
+
+class Informed(NamedTuple):
+    """A fit, with its share of the belief."""
+
+    likelihood: Likelihood
+    fit: Fits  # one hypothesis
+    share: float
 
 
 @dataclass(frozen=True)
@@ -76,40 +90,56 @@ class _Seen:
 
 
 def quantities(
-    belief: Belief, likelihood: Likelihood, information: Fits | None, *, contradicted: bool = False
+    belief: Belief, informed: Sequence[Informed], *, contradicted: bool = False
 ) -> tuple[Quantity, ...]:
     """Value, 90 % interval and verdict for each quantity.
 
     Args:
         belief: the hypotheses.
-        likelihood: of the pushes they were fitted to.
-        information: the best fit; None where the maps came from another method, so that one has to be made.
+        informed: fits that they come from; the first decides what is shown.
         contradicted: whether a measured force was left out because it contradicts the contact.
     """
+    likelihood = informed[0].likelihood
     prior = likelihood.prior
-    if information is None:
-        information = fit(likelihood, np.array([prior.start(0.35)]))
-    posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
-    results = []
     seen = replace(_Seen.of(likelihood), contradicted=contradicted)
-    for measure in _measures(prior.slider, seen, prior.mass is not None):
-        gradient = _gradient(measure, prior, information.z[0])
-        before = float(gradient @ gradient)
-        after = float(gradient @ posterior @ gradient)
-        if prior.known is not None:
-            free = MapPrior(prior.slider, prior.settings, prior.mass)
-            open_width = _gradient(measure, free, np.zeros(free.size))
-            if before < SHOWN_SHARE * float(open_width @ open_width):
-                measure = replace(
-                    measure, given=True, shown=measure.shown if measure.given else "known beforehand"
-                )
-        shown = measure.given or after < SHOWN_SHARE * before
-        value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
+    measures = _measures(prior.slider, seen, prior.mass is not None)
+    variances = [_variances(measures, one) for one in informed]
+    shares = np.array([one.share for one in informed])
+    averages = shares @ [after for _, after in variances] / shares.sum()
+    if prior.known is not None:
+        free = MapPrior(prior.slider, prior.settings, prior.mass)
+        open_widths = [g @ g for g in _gradients(measures, free, np.zeros(free.size))]
+    results = []
+    for place, measure in enumerate(measures):
+        before, after = (one[place] for one in variances[0])
+        if prior.known is not None and before < SHOWN_SHARE * open_widths[place]:
+            measure = replace(
+                measure, given=True, shown=measure.shown if measure.given else "known beforehand"
+            )
+        shown = bool(measure.given or after < SHOWN_SHARE * before)
+        values = measure.of(belief.maps)
+        more = _beyond(values, belief.probability, averages[place], measure.log) if shown else 0.0
+        value, low, high = interval(values, belief.probability, log=measure.log, more=more)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
         reason = measure.shown if shown else measure.open
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
     return tuple(results)
+
+
+def _variances(measures: Sequence[_Measure], one: Informed) -> tuple[list[float], list[float]]:
+    """Variances of the quantities (of logarithms where they are compared as ratios) before and after the
+    pushes."""
+    prior = one.likelihood.prior
+    posterior = np.linalg.inv(one.fit.hessian[0] + np.eye(prior.size))
+    gradients = _gradients(measures, prior, one.fit.z[0])
+    return [float(g @ g) for g in gradients], [float(g @ posterior @ g) for g in gradients]
+
+
+def _beyond(values: FloatArray, probability: FloatArray, variance: float, log: bool = False) -> float:
+    """Standard deviation that the scatter of values, or of their logarithms, lacks to a variance."""
+    x = np.log(np.maximum(values, 1e-300)) if log else values
+    return float(np.sqrt(max(variance - float(probability @ (x - probability @ x) ** 2), 0.0)))
 
 
 def effect_quantities(
@@ -128,8 +158,7 @@ def effect_quantities(
     for (effect, parameter), values, share, deviation in zip(
         named, belief.maps.effects.T, left, deviations, strict=False
     ):
-        scatter = float(belief.probability @ (values - belief.probability @ values) ** 2)
-        more = np.sqrt(max(float(deviation) ** 2 - scatter, 0.0))
+        more = _beyond(values, belief.probability, float(deviation) ** 2)
         middle, low, high = interval(values, belief.probability, more=more)
         clear = parameter.null is not None and not low <= parameter.null <= high
         if share < SHOWN_SHARE:
@@ -145,14 +174,13 @@ def effect_quantities(
     return facts
 
 
-def _gradient(measure: _Measure, prior: MapPrior, z: FloatArray) -> FloatArray:
-    """Gradient of a quantity by central differences over the coordinates; maps alone are cheap."""
+def _gradients(measures: Sequence[_Measure], prior: MapPrior, z: FloatArray) -> list[FloatArray]:
+    """Gradients of quantities by central differences over the coordinates; maps alone are cheap."""
     difference = 1e-4
     shifts = difference * np.eye(prior.size)
-    values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))
-    if measure.log:
-        values = np.log(values)
-    return (values[: prior.size] - values[prior.size :]) / (2.0 * difference)
+    maps = prior.maps(np.concatenate([z + shifts, z - shifts]))
+    every = [np.log(measure.of(maps)) if measure.log else measure.of(maps) for measure in measures]
+    return [(values[: prior.size] - values[prior.size :]) / (2.0 * difference) for values in every]
 
 
 def friction_arms(grid: CellGrid, maps: Maps) -> FloatArray:

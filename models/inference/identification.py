@@ -25,7 +25,8 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.identifiability import effect_quantities, quantities
+from slipmap.models.inference.gauss_newton import fit as fit_maps
+from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, weighed
 from slipmap.models.inference.observations import Observation, observe_all
@@ -151,7 +152,8 @@ def learn(
     belief = replace(belief, settings=told)
     predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
     likelihood, information = every[0].likelihood, every[0].best
-    facts = quantities(belief, likelihood, information, contradicted=contradicted)
+    informed = [Informed(one.likelihood, one.best, one.share) for one in every]
+    facts = quantities(belief, informed, contradicted=contradicted)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(
@@ -174,7 +176,8 @@ def _by_algorithm_1(
     fitted = [observation for observation in observations if observation.role == "fit"]
     likelihood = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings())
     predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
-    facts = quantities(belief, likelihood, None)
+    found = fit_maps(likelihood, np.array([prior.start(0.35)]))
+    facts = quantities(belief, [Informed(likelihood, found, 1.0)])
     return Identification(belief, predictions, facts, time.perf_counter() - started)
 
 

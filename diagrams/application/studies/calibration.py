@@ -105,14 +105,13 @@ def _one_object(rng: np.random.Generator, index: int, kind: str) -> list[tuple[s
     p = belief.probability
     com = (truth.mass @ grid.centers / truth.mass.sum(axis=1, keepdims=True))[0]
     friction = float((truth.mass * truth.mu).sum() * slider.gravity)
-    arms, arm = friction_arms(grid, belief.maps), float(friction_arms(grid, truth)[0])
+    told = {name: fact for fact in result.quantities for name in QUANTITIES if fact.name.startswith(name)}
+    known = (*com.tolist(), friction, float(friction_arms(grid, truth)[0]))
     found = [
-        (QUANTITIES[axis], _rank(belief.centers_of_mass[:, axis], p, float(com[axis]))) for axis in (0, 1)
+        (name, _rank(told[name].low, told[name].high, p, value, log="friction" in name))
+        for name, value in zip(QUANTITIES, known, strict=False)
     ]
-    found.append((QUANTITIES[2], _rank(belief.friction_forces, p, friction, log=True)))
-    found.append((QUANTITIES[3], _rank(arms, p, arm, log=True)))
-    found += _position_ranks(result, exact.end[0, count:, :2])
-    return found
+    return found + _position_ranks(result, exact.end[0, count:, :2])
 
 
 def _as_declared(dataset: PushDataset, factor: float, *, force: bool) -> PushDataset:
@@ -124,18 +123,21 @@ def _as_declared(dataset: PushDataset, factor: float, *, force: bool) -> PushDat
 
 def _position_ranks(result: Identification, ends: FloatArray) -> list[tuple[str, float]]:
     heldout = [push for push in result.pushes if push.role == "heldout"]
+    p = result.belief.probability
     return [
-        (QUANTITIES[4], _rank(push.hypotheses[:, -1, axis], result.belief.probability, float(end[axis])))
+        (
+            QUANTITIES[4],
+            _rank(*interval(push.hypotheses[:, -1, axis], p, level=LEVEL)[1:], p, float(end[axis])),
+        )
         for push, end in zip(heldout, ends, strict=True)
         for axis in (0, 1)
     ]
 
 
-def _rank(values: FloatArray, probability: FloatArray, truth: float, *, log: bool = False) -> float:
-    """Cumulative probability at the truth of the Student-t distribution behind the intervals."""
+def _rank(low: float, high: float, probability: FloatArray, truth: float, *, log: bool = False) -> float:
+    """Cumulative probability at the truth of the Student-t distribution behind an interval."""
     from scipy.stats import t
 
-    _, low, high = interval(values, probability, level=LEVEL, log=log)
     if log:
         low, high, truth = np.log(low), np.log(high), np.log(truth)
     freedom = max(2.0, 1.0 / float((probability**2).sum())) - 1.0

@@ -5,14 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from slipmap.models.inference.belief import BeliefError
 from slipmap.models.inference.hypotheses import accuracy_weights
+from slipmap.models.inference.identifiability import Informed, friction_arms, quantities
 from slipmap.models.inference.identification import identify
+from slipmap.models.inference.mixture import explain, mixed_belief
+from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.prior import PriorSettings
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.physics.rollout import Maps
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +180,26 @@ def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
     friction = Quantity("finger friction", "-", 0.298, 0.2931, 0.30391, True, "")
     assert str(friction) == "finger friction: 0.2931 to 0.3039"
     assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.2931 to 0.3039 kg"
+
+
+def test_an_interval_is_as_wide_as_the_fits_allow_where_hypotheses_agree(recorded):
+    """Hypotheses that are all alike leave the posterior variance; what is open stays theirs."""
+    observations = [o for o in observe_all(recorded.dataset) if o.role == "fit"]
+    dataset, quiet = recorded.dataset, lambda *_: None
+    (one,) = explain(dataset, observations, PriorSettings(), quiet, plain_only=True)
+    belief = mixed_belief(dataset, [one], (), 20, 0, quiet)
+    first = (getattr(belief.maps, name)[:1] for name in ("mass", "mu", "mu_finger"))
+    maps = Maps(*(np.repeat(rows, 20, axis=0) for rows in first))
+    alike = replace(belief, maps=maps, probability=np.full(20, 0.05))
+    facts = {f.name: f for f in quantities(alike, [Informed(one.likelihood, one.best, 1.0)])}
+    arm = next(f for name, f in facts.items() if name.startswith("friction arm"))
+
+    prior, step = one.likelihood.prior, 1e-5
+    z, shifts = one.best.z[0], step * np.eye(one.likelihood.prior.size)
+    arms = [np.log(friction_arms(prior.slider.grid, prior.maps(z + s * shifts))) for s in (1, -1)]
+    slope = (arms[0] - arms[1]) / (2 * step)
+    deviation = np.sqrt(slope @ np.linalg.solve(one.best.hessian[0] + np.eye(prior.size), slope))
+    assert arm.shown
+    assert 0.5 * np.log(arm.high / arm.low) == pytest.approx(stdtrit(19, 0.95) * deviation, rel=1e-3)
+    assert not facts["centre of mass, x"].shown
+    assert facts["centre of mass, x"].low == pytest.approx(facts["centre of mass, x"].high, abs=1e-12)
