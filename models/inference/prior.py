@@ -96,7 +96,7 @@ a few times the mean; distinct parts; load on a few cells; or hardly any variati
 smooth kind is for pushes that a law explains exactly; otherwise single cells absorb the law's errors better,
 without bending whole regions."""
 
-PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
+PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.15, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
 """Prior probability of each structure, up to a common factor."""
 
 _FINGER_STARTS = (0.12, 0.35, 1.0)
@@ -231,6 +231,8 @@ class MapPrior(EffectCoordinates):
         def projected(spread: float, rows: FloatArray, levels: int = 1) -> tuple[FloatArray, FloatArray]:
             """Coordinates (K, r) of rows (K, n), up to a constant if `levels` is 1, and the rows that they
             reproduce."""
+            if levels:  # else the scale of masses would leak into coordinates of a basis as large as the grid
+                rows = rows - rows[:, free].mean(axis=1, keepdims=True)
             columns = np.column_stack([spread * self.basis, np.ones((self.basis.shape[0], levels))])
             found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][: self.basis.shape[1]].T
             z = np.asarray(found, dtype=np.float64)
