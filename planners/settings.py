@@ -28,7 +28,7 @@ class RepairSettings(CheckedSettings):
     every: int = within(5, 1, 100)  # pushes after which they are diagnosed again even without a surprise
     # p of the largest gain up to which an undecided diagnosis is worth another push
     chance: float = within(0.5, 0.0, 1.0)
-    fewest: int = within(5, 4, 100)  # fewest pushes that are worth a diagnosis
+    fewest: int = within(5, 5, 100)  # fewest pushes that are worth a diagnosis
     # pushes that test an effect just adopted; if they surprise, it is diagnosed again
     probation: int = within(2, 1, 100)
 

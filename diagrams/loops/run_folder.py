@@ -78,7 +78,8 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
         run = {}
     ended = run.get("ended") is True and _holds(pushes, run.get("pushes"))
     # A run that was killed before it wrote its first push.
-    own = run.get("digests", {})
+    own = run.get("digests")
+    own = own if isinstance(own, dict) else {}
     begun = pushes not in present and all(own.get(path.name) == _digest_of(path) for path in present)
     if not (ended or begun):
         raise BadInput(

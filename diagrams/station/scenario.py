@@ -273,6 +273,10 @@ def _found(name: str, scenario: Path, field: str) -> Path:
     raise ScenarioError(f"{scenario}: {field}: there is no file {tried}")
 
 
+# Keys in scenarios of earlier versions, among them those kept with every run, that no longer say anything.
+_RETIRED = (("repair", "together"),)
+
+
 def read_settings(path: str | Path, schema: type[T]) -> T:
     """Read a dataclass from a YAML file; fields that the file leaves out keep their defaults.
 
@@ -300,6 +304,10 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         raise ScenarioError(f"{path}: is not YAML ({shown_error(error)})") from error
     if content is None:
         return schema()
+    for section, name in _RETIRED:
+        if isinstance(content, dict) and isinstance(content.get(section), dict) and name in content[section]:
+            del content[section][name]
+            text = yaml.safe_dump(content)
     _check(content, schema, str(path), "")
     try:
         settings = yaml_load_typed(schema=schema, data=text, defaults=schema())

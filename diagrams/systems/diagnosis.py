@@ -192,6 +192,8 @@ class Diagnosis(PythonSystem):
         """Whether to diagnose the pushes: they surprised, the answer is open, or a check is due."""
         if watch.alarm or watch.evidence >= self._settings.doubt:
             return True
+        if repair.tried is not None:
+            return False
         last = repair.findings[-1] if repair.findings else None
         due = last is None or last.action == "pushes on" or count >= last.pushes + self._settings.every
         return due and count >= self._settings.fewest
@@ -200,13 +202,17 @@ class Diagnosis(PythonSystem):
         """The repair after a diagnosis of `count` pushes."""
         named: tuple[str, ...] = ()
         if found.verdict in ("effect", "ambiguous"):
+            # Effects of the force sensor alone leave an empty rival, the simplest: nothing needs adopting.
             simplest = min(found.rivals, key=lambda rival: sum(size for _, size in rival))
+            sets = [{name for name, _ in rival} for rival in found.rivals]
             named = tuple(name for name, _ in simplest if name not in self._given)
+            if not named and set(repair.effects) - set(self._given) in sets:  # still in the running
+                named = tuple(name for name in repair.effects if name not in self._given)
         effects, question = (*self._given, *named), found.question
         is_open = found.verdict == "undecided" and found.p <= self._settings.chance
         if found.verdict == FAILED:
             effects, question = repair.effects, None
-        elif found.verdict in ("unknown", "undecided") and self._confirmed(repair):
+        elif not named and found.verdict != "adequate" and self._confirmed(repair):
             # Something else is wrong as well, but pushes have shown that these effects help.
             effects = repair.effects
         if named:

@@ -117,5 +117,7 @@ def _share(off: FloatArray, variance: FloatArray, travel: FloatArray) -> float:
     density = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(spread)
     density -= 0.5 * (freedom + 1.0) * np.log1p(off[..., None] ** 2 / spread)
     log = density.sum(axis=(0, 1))
+    if not np.isfinite(log).all():  # a fit that says nothing of these pushes
+        return float(_SHARES[-1])
     below = np.cumsum(np.exp(log - log.max()))
     return float(_SHARES[np.searchsorted(below, 0.5 * below[-1])])

@@ -24,6 +24,7 @@ AVERAGED, DENSE = 5, 100
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
+_FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
@@ -83,9 +84,11 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     step = duration / steps
     ends = step * np.arange(steps + 1)
     tip = np.full((steps + 1, 2), np.nan)
-    if trial.has_finger:
+    if len(track_time) >= _FEW_ROWS and trial.has_finger:
         # Straight lines between rows would change the speed at each row at once, and the force would ring.
         tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
+    elif trial.has_finger:
+        tip = interpolated(ends, track_time, track)
 
     start, start_rows = trial.object_pose.values[0].copy(), 1
     if not trial.ends_only and not twist.any():

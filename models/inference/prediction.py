@@ -292,9 +292,10 @@ def _from_other_starts(belief: Belief, observations: Sequence[Observation], nois
     A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.
     """
     p = belief.probability
-    offsets = np.random.default_rng(_STARTS).standard_normal((len(p), len(observations), 3))
+    # The same for every push, so that its region does not depend on which others are predicted with it.
+    offsets = np.random.default_rng(_STARTS).standard_normal((len(p), 1, 3))
     offsets = (offsets - np.einsum("k,kbi->bi", p, offsets)) * noise.of_poses
-    offsets /= np.sqrt([observation.start_rows for observation in observations])[:, None]
+    offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
     starts = np.array([observation.push.start_pose for observation in observations])
     pushes = [observation.push for observation in observations]
     return belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]

@@ -117,6 +117,8 @@ def resting_misfit(
 def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, error: ErrorModel) -> EndRegion:
     """Region in which an object may come to rest, as `Prediction.end_region`, from predicted rest poses.
 
+    The hypotheses start at one pose, so near balance the region is narrower than that of `Prediction`.
+
     Args:
         start: (3,) pose before the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.

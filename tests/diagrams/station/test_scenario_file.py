@@ -17,6 +17,7 @@ from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scen
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel
 from slipmap.models.objects import cells_from_polygon
+from slipmap.planners.settings import RepairSettings
 
 
 @pytest.fixture
@@ -297,3 +298,9 @@ def test_an_object_must_lie_on_the_table_and_under_the_finger(read, text, named)
         check_rest(scenario, scenario.object.make())
     for part in named:
         assert part in str(refused.value)
+
+
+def test_keys_of_earlier_versions_are_passed_over(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("repair: {together: 0.25, pushes: 3}\n")
+    assert read_scenario(path).repair == RepairSettings(pushes=3)

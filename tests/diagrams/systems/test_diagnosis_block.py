@@ -283,6 +283,25 @@ def test_what_only_the_force_sensor_does_is_not_adopted(monkeypatch, verdict, ef
     assert (repair.effects, actions(repair)) == (adopted, ["adopts" if adopted else "goes on without"])
 
 
+@pytest.mark.parametrize(
+    "again", [("ambiguous", ("table_tilt", "force_latency")), ("effect", ("force_latency",))]
+)
+def test_a_confirmed_effect_outlives_a_fault_of_the_force_sensor(monkeypatch, again):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), again, without=0.03)
+    for count in (5, 6, 7):
+        robot.push(count, alarm=count == 5)
+    repair = robot.push(8, alarm=True)
+    assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "keeps", "keeps"])
+
+
+def test_the_test_of_an_effect_comes_before_the_next_check(monkeypatch):
+    monkeypatch.setattr(SETTINGS, "every", 1)
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), without=0.03)
+    for count in (5, 6, 7):
+        repair = robot.push(count, alarm=count == 5)
+    assert [finding.verdict for finding in repair.findings] == ["effect", "tried"]
+
+
 def test_an_effect_is_tried_against_the_one_that_it_replaced(monkeypatch):
     robot = Robot(monkeypatch, ("effect", ("tether",)), ("effect", ("table_tilt",)), without=0.002)
     robot.push(5, alarm=True)

@@ -124,3 +124,13 @@ def test_where_a_push_near_balance_may_end_includes_starts_that_look_the_same(re
     assert np.mean([push.end_region.holds(end, 0.9) for end in ends]) == pytest.approx(0.9, abs=0.08)
     inside = (push.end_interval[0] < ends) & (ends < push.end_interval[1])
     assert inside.mean() == pytest.approx(0.9, abs=0.08)
+
+
+def test_the_region_of_a_push_does_not_depend_on_what_else_is_predicted() -> None:
+    dataset, _ = slipmap.simulated_hammer(seed=2, fit=3, heldout=3)
+    belief = slipmap.identify(dataset, hypotheses=6, friction_laws=False).belief
+    seen, noise = observe_all(dataset), sensor_noise(dataset)
+    (alone,) = predict_observations(belief, seen[-1:], noise)
+    among = predict_observations(belief, seen, noise)[-1]
+    np.testing.assert_allclose(alone.end_interval, among.end_interval, rtol=0, atol=1e-12)
+    assert alone.rarity == pytest.approx(among.rarity, abs=1e-9)
