@@ -237,6 +237,12 @@ def predict_observations(
     shift = 5e-4  # m, sideways shift of the start that shows how near balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
     drawn, seen = _from_other_starts(belief, observations, noise), noise.of_poses
+    if predictor is not None:  # the draws are the slider's; they scatter about where the predictor ends
+        slider_ends = predicted_motion(belief, observations)
+        moved = [
+            own.poses[:, -1] - plain.poses[:, -1] for own, plain in zip(motions, slider_ends, strict=True)
+        ]
+        drawn = drawn + np.stack(moved, axis=1)
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         middle = motion.middle_poses
