@@ -54,9 +54,7 @@ class LeftOut:
             ends[own] = rollouts.end[0, :, :3]
             left = np.linalg.inv(self.fits.hessian[k] + np.eye(prior.size))
             for place, b in enumerate(own):
-                slopes = prior.chain(
-                    self.fits.z[k : k + 1], maps[k : k + 1], rollouts.d_poses_of(place)[:, -1]
-                )[0]
+                slopes = prior.chain(maps[k : k + 1], rollouts.d_poses_of(place)[:, -1])[0]
                 by_maps, by_start = slopes[:, : prior.size], slopes[:, prior.size :]
                 started = (by_start * self.likelihood.start_sigma[b]) ** 2
                 variances[b] = ((by_maps @ left) * by_maps).sum(axis=1) + started.sum(axis=1)

@@ -55,8 +55,8 @@ class KnownCells:
             if where.any()
         ]
         sharing = np.ones(cells, dtype=bool) if in_kg.all() else ~in_kg
-        own_mass = np.hypot(a * settings.load_spread, settings.split)
-        own_friction = np.hypot((1.0 - a) * settings.load_spread, settings.split)
+        own_mass = np.hypot(a * settings.load_map, settings.split)
+        own_friction = np.hypot((1.0 - a) * settings.load_map, settings.split)
         return cls(
             log_mass,
             log_friction,

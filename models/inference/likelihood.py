@@ -141,7 +141,7 @@ class PushLikelihood(ABC):
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
         # Normal equations in the rollout's own columns, which are fewer than the coordinates; pushes that
         # stay away from the table's rim have only the first columns.
-        columns, start = prior.columns(z, maps, strength), prior.start_columns
+        columns, start = prior.columns(maps, strength), prior.start_columns
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))

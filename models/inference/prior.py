@@ -2,7 +2,7 @@
 
 Maps are functions of whitened coordinates z, each with the prior z ~ N(0, 1):
 
-    l = w(σ_load B z_load),    s = σ_split B z_split
+    l = σ_load B z_load,    s = σ_split B z_split
     m_i   = m_total · exp(a l_i + s_i) / Σ_j exp(a l_j + s_j)
     mu_i  = exp(log mu_0 + σ_scale z_mu0 + (1 - a) l_i - s_i)
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
@@ -16,10 +16,6 @@ cells tend to be similar, but need not be. The product of mass and friction, whi
 on l alone; its split between the two, which they do not show, depends on s. (Independent spreads of mass and
 friction that leave the split as open would allow wild products.) Logarithms keep masses and frictions
 positive and independent of units: an object of 165 kg is as likely as one of 165 g.
-
-Usually w(x) = x. Then a massless cell is infinitely far from any other, and a prior with room for one also
-has room for cells that outweigh all others. With `linear` c, loads are linear in x down to a soft floor:
-w(x) = log softplus(c + x) - log softplus(c). Whole regions may then carry next to nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +26,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.inference.known_cells import KnownCells
@@ -45,7 +40,7 @@ from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 class PriorSettings:
     """Strength of the prior, in standard deviations of natural logarithms."""
 
-    load_map: float = 0.35  # σ_load, deviation x of a cell's product of mass and friction from the mean
+    load_map: float = 0.35  # σ_load, deviation of a cell's product of mass and friction from the mean
     mass_share: float = 0.8  # a, share of that deviation that mass has where nothing else is known
     split: float = 0.30  # σ_split, further deviation of mass and friction in opposite directions
     friction_scale: float = 0.7  # σ_scale of the mean friction
@@ -61,42 +56,21 @@ class PriorSettings:
     sharp: bool = False
     largest_friction: float = 3.0  # upper bound of mu and mu_f
     modes: int = 40  # most coordinates of a map; pushes cannot show finer variation
-    linear: float | None = None  # c, the deviation down to which loads are linear; None where w(x) = x
-
-    def linked(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """w(x) and its slope, for deviations x of any shape; only where `linear` is given."""
-        assert self.linear is not None
-        load = np.maximum(np.logaddexp(0.0, self.linear + x), 1e-30)
-        return np.log(load / np.logaddexp(0.0, self.linear)), -np.expm1(-load) / load
-
-    def unlinked(self, log_load: FloatArray) -> FloatArray:
-        """The x of given w(x); only where `linear` is given."""
-        assert self.linear is not None
-        load = np.exp(log_load) * np.logaddexp(0.0, self.linear)
-        return load + np.log(-np.expm1(-load)) - self.linear
-
-    @property
-    def load_spread(self) -> float:
-        """Standard deviation of l in a cell."""
-        if self.linear is None:
-            return self.load_map
-        return float(self.linked(self.load_map * ndtri((np.arange(200) + 0.5) / 200))[0].std())
 
 
 STRUCTURES = {
     "uneven": PriorSettings(load_map=0.4, split=0.5, white=0.8, modes=100),
     "smooth": PriorSettings(),
-    "varied": PriorSettings(load_map=6.0, split=0.5, modes=60, linear=4.0),
+    "varied": PriorSettings(load_map=0.8, split=0.5, modes=60),
     "parts": PriorSettings(load_map=3.5, split=0.5, white=0.05, sharp=True, length=0.5, modes=60),
     "few points": PriorSettings(load_map=4.0, split=0.5, white=0.95, modes=200),
     "uniform": PriorSettings(load_map=0.1, split=0.1, modes=20),
 }
-"""Kinds of maps: little variation, from cell to cell or smooth; loads that vary, in regions, from nothing to
-a few times the mean; distinct parts; load on a few cells; or hardly any variation. Of the first two, the
-smooth kind is for pushes that a law explains exactly; otherwise single cells absorb the law's errors better,
-without bending whole regions."""
+"""Kinds of maps: little variation, from cell to cell or smooth; strong variation; distinct parts; load on a
+few cells; or hardly any variation. Of the first two, the smooth kind is for pushes that a law explains
+exactly; otherwise single cells absorb the law's errors better, without bending whole regions."""
 
-PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.15, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
+PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
 """Prior probability of each structure, up to a common factor."""
 
 _FINGER_STARTS = (0.12, 0.35, 1.0)
@@ -228,23 +202,16 @@ class MapPrior(EffectCoordinates):
         of_load, of_split = self.spreads(np.ones(1))
         log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
 
-        def projected(spread: float, rows: FloatArray, levels: int = 1) -> tuple[FloatArray, FloatArray]:
-            """Coordinates (K, r) of rows (K, n), up to a constant if `levels` is 1, and the rows that they
-            reproduce."""
-            if levels:  # else the scale of masses would leak into coordinates of a basis as large as the grid
-                rows = rows - rows[:, free].mean(axis=1, keepdims=True)
-            columns = np.column_stack([spread * self.basis, np.ones((self.basis.shape[0], levels))])
-            found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][: self.basis.shape[1]].T
+        def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they reproduce."""
+            # Otherwise the scale of masses would leak into coordinates of a basis as large as the grid.
+            rows = rows - rows[:, free].mean(axis=1, keepdims=True)
+            columns = np.column_stack([spread * self.basis, np.ones(self.basis.shape[0])])
+            found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][:-1].T
             z = np.asarray(found, dtype=np.float64)
-            return z, z @ columns[:, : z.shape[1]].T
+            return z, z @ columns[:, :-1].T
 
-        log_load = log_mass + log_mu
-        if s.linear is None:
-            z_load, load = projected(float(of_load[0]), log_load)
-        else:
-            log_load = log_load - np.log(np.exp(log_load).mean(axis=1, keepdims=True))
-            z_load, load = projected(float(of_load[0]), s.unlinked(np.maximum(log_load, -12.0)), levels=0)
-            load = s.linked(load)[0]
+        z_load, load = projected(float(of_load[0]), log_mass + log_mu)
         z_split, split = projected(float(of_split[0]), log_mass - s.mass_share * load)
         total = np.log(maps.mass[:, cells.sharing].sum(axis=1) / self.total_mass) / self.total_spread
         shared = np.zeros((K, cells.levels))
@@ -287,7 +254,6 @@ class MapPrior(EffectCoordinates):
         s, cells = self.settings, self.cells
         of_load, of_split = self.spreads(np.broadcast_to(strength, (len(z),)))
         load = of_load[:, None] * (z[:, :r] @ self.basis.T)
-        load = load if s.linear is None else s.linked(load)[0]
         split = of_split[:, None] * (z[:, r : 2 * r] @ self.basis.T)
         errors = z[:, 2 * r + 1 : self.plain - 1]
         k = cells.friction_levels.shape[1]
@@ -312,11 +278,8 @@ class MapPrior(EffectCoordinates):
             self.effect_values(z),
         )
 
-    def chain(
-        self, z: FloatArray, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0
-    ) -> FloatArray:
-        """Convert derivatives (K, …, P) from a rollout's reduced columns to z and start pose, for the maps at
-        z (K, size).
+    def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
+        """Convert derivatives (K, …, P) from a rollout's reduced columns to z and start pose.
 
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
@@ -324,7 +287,7 @@ class MapPrior(EffectCoordinates):
         P = derivative.shape[-1]
         rows = derivative.reshape(len(maps), -1, P)
         by_start = rows[..., self.start_columns]
-        result = np.concatenate([rows @ self.columns(z, maps, strength)[:, :P], by_start], axis=-1)
+        result = np.concatenate([rows @ self.columns(maps, strength)[:, :P], by_start], axis=-1)
         return result.reshape(*derivative.shape[:-1], self.size + 3)
 
     @property
@@ -333,9 +296,8 @@ class MapPrior(EffectCoordinates):
         first = len(self.slider.grid) + INERTIA_COLUMNS + 1
         return slice(first, first + 3)
 
-    def columns(self, z: FloatArray, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
-        """(K, P, size) derivatives of the quantities behind a rollout's reduced columns in the coordinates z
-        (K, size) of the maps.
+    def columns(self, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
+        """(K, P, size) derivatives of the quantities behind a rollout's reduced columns in the coordinates.
 
         On a table, P includes the cells' masses, which come last; rollouts that stay away from its rim lack
         these columns. Where a friction is at its bound, the derivative is that of the unbounded formula, so
@@ -349,35 +311,21 @@ class MapPrior(EffectCoordinates):
         load = (maps.mass * maps.mu * self.slider.gravity)[..., None]
         moved = self.slider.inertia_basis.T * maps.mass[:, None]
         massive, rubbing = (share[:, None] * self.basis for share in (cells.mass_share, cells.friction_share))
+        # Contributions of the columns of loads and inertia, (n + 4), over log friction and over log mass.
+        by_friction = np.concatenate([load * rubbing, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
+        by_mass = np.concatenate([load * massive, moved @ massive], axis=1)
         by_total = np.concatenate(
             [load * cells.sharing[:, None], (moved * cells.sharing).sum(axis=-1, keepdims=True)], axis=1
         )
         shared = maps.mass * cells.sharing
         share = shared / shared.sum(axis=1, keepdims=True)
-
-        def mean(rows: FloatArray) -> FloatArray:
-            """(K, 1, r) rows (n, r) or (K, n, r), weighted by mass."""
-            return (share @ rows)[:, None] if rows.ndim == 2 else share[:, None] @ rows
-
-        def through(massive: FloatArray, rubbing: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Contributions of the columns of loads and inertia, (n + 4), over log mass and over log
-            friction."""
-            by_mass = np.concatenate([load * massive, moved @ massive], axis=1)
-            by_friction = np.concatenate([load * rubbing, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
-            return by_mass - by_total * mean(massive), by_friction
-
-        by_mass, by_friction = through(massive, rubbing)
-        bent, load_by_mass, load_by_friction = massive, by_mass, by_friction
-        if s.linear is not None:
-            slope = s.linked(of_load[:, 0] * (z[:, :r] @ self.basis.T))[1][..., None]
-            bent = slope * massive
-            load_by_mass, load_by_friction = through(bent, slope * rubbing)
+        by_mass -= by_total * (share @ massive)[:, None]
         still = np.zeros((K, INERTIA_COLUMNS, cells.friction_levels.shape[1]))
         masses = 0 if self.slider.table is None else n
         result = np.zeros((K, n + EXTRA_COLUMNS + len(self.effect_scales) + masses, self.size))
         result[:, : n + INERTIA_COLUMNS, : self.plain - 1] = np.concatenate(
             [
-                of_load * (s.mass_share * load_by_mass + (1.0 - s.mass_share) * load_by_friction),
+                of_load * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
                 of_split * (by_mass - by_friction),
                 by_total * self.total_spread,
                 np.concatenate([load * cells.friction_levels, still], axis=1),
@@ -390,14 +338,12 @@ class MapPrior(EffectCoordinates):
         result[:, first : first + len(self.effect_scales), self.plain :] = np.diag(self.effect_scales)
         if masses:
             mass = maps.mass[..., None]
-            by_load, by_split = (
-                mass * (rows - cells.sharing[:, None] * mean(rows)) for rows in (bent, massive)
-            )
+            by_load = mass * (massive - cells.sharing[:, None] * (share @ massive)[:, None])
             unmoving = np.zeros((K, n, cells.friction_levels.shape[1]))
             result[:, -n:, : self.plain - 1] = np.concatenate(
                 [
                     of_load * s.mass_share * by_load,
-                    of_split * by_split,
+                    of_split * by_load,
                     mass * cells.sharing[:, None] * self.total_spread,
                     unmoving,
                     mass * cells.mass_levels,

@@ -162,14 +162,11 @@ class CorrelatedLikelihood(PushLikelihood):
     def rows(self, z: FloatArray, offsets: FloatArray) -> list[Linearised]:
         """Residuals and derivatives of one hypothesis z (d,) with start offsets (B, 3), for all pushes."""
         maps = self.prior.maps(z[None])
-        columns = self.prior.columns(z[None], maps).shape[1]
+        columns = self.prior.columns(maps).shape[1]
         found: dict[int, Linearised] = {}
         for alike in self._rolled_out(maps, offsets[None], columns):
             (pose, pose_slopes), (force, force_slopes) = self._pose_errors(alike), self._force_errors(alike)
-            by_z = (
-                self.prior.chain(z[None], maps, pose_slopes)[0],
-                self.prior.chain(z[None], maps, force_slopes)[0],
-            )
+            by_z = self.prior.chain(maps, pose_slopes)[0], self.prior.chain(maps, force_slopes)[0]
             for place, b in enumerate(alike.pushes.tolist()):
                 found[b] = Linearised(pose[0, place], by_z[0][place], force[0, place], by_z[1][place])
         return [found[b] for b in range(len(self.observations))]

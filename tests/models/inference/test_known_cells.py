@@ -16,7 +16,6 @@ from slipmap.models.physics.step import INERTIA_COLUMNS
 SQUARE = cells_from_polygon([[-0.05, -0.04], [0.05, -0.04], [0.05, 0.04], [-0.05, 0.04]], count=30)
 N = len(SQUARE)
 SETTINGS = PriorSettings(modes=N)
-LINEAR = PriorSettings(load_map=6.0, linear=4.0, modes=N)
 
 
 def partly(values, cells):
@@ -29,8 +28,8 @@ PARTS = KnownMaps(partly(0.05, 8), partly(0.5, 12), 0.25, mass_spread=0.1, frict
 PLATE = KnownMaps(np.ones(N), np.ones(N), mass_ratios=True, friction_ratios=True, friction_spread=0.02)
 
 
-def prior_of(known, mass=0.8, table=None, settings=SETTINGS):
-    return MapPrior(Slider(SQUARE, 0.005, table=table), settings, mass, known=known)
+def prior_of(known, mass=0.8, table=None):
+    return MapPrior(Slider(SQUARE, 0.005, table=table), SETTINGS, mass, known=known)
 
 
 def drawn(prior, count=3000):
@@ -46,9 +45,8 @@ def test_the_middle_of_the_prior_is_what_is_known():
     assert maps.mu_finger == pytest.approx(0.25)
 
 
-@pytest.mark.parametrize("settings", [SETTINGS, LINEAR], ids=["exponential", "linear"])
-def test_known_cells_vary_by_their_spread_and_free_ones_as_before(settings):
-    maps, free = drawn(prior_of(PARTS, settings=settings)), drawn(prior_of(None, settings=settings))
+def test_known_cells_vary_by_their_spread_and_free_ones_as_before():
+    maps, free = drawn(prior_of(PARTS)), drawn(prior_of(None))
     assert np.log(maps.mass)[:, :8].std(axis=0) == pytest.approx(0.1, rel=0.06)
     assert np.log(maps.mu)[:, :12].std(axis=0) == pytest.approx(0.04, rel=0.06)
     assert np.log(maps.mu)[:, 12:].std(axis=0) == pytest.approx(np.log(free.mu)[:, 12:].std(axis=0), rel=0.06)
@@ -63,11 +61,10 @@ def test_a_uniform_plate_keeps_an_open_size():
     assert np.log(maps.mass.sum(axis=1)).std() == pytest.approx(SETTINGS.unknown_mass, rel=0.06)
 
 
-@pytest.mark.parametrize("settings", [SETTINGS, LINEAR], ids=["exponential", "linear"])
 @pytest.mark.parametrize("known", [PARTS, PLATE], ids=["parts", "plate"])
 @pytest.mark.parametrize("table", [None, Table("round", (0.0, 0.0), radius=0.5)], ids=["endless", "table"])
-def test_derivatives_are_those_of_the_maps(known, table, settings):
-    prior = prior_of(known, table=table, settings=settings)
+def test_derivatives_are_those_of_the_maps(known, table):
+    prior = prior_of(known, table=table)
     slider, z = prior.slider, np.random.default_rng(1).standard_normal(prior.size)
 
     def reduced(z):
@@ -77,7 +74,7 @@ def test_derivatives_are_those_of_the_maps(known, table, settings):
 
     step = 1e-6 * np.eye(prior.size)
     pairs = [(reduced(z + s), reduced(z - s)) for s in step]
-    columns, first = prior.columns(z[None], prior.maps(z[None]))[0], N + INERTIA_COLUMNS + 1
+    columns, first = prior.columns(prior.maps(z[None]))[0], N + INERTIA_COLUMNS + 1
     expected = np.array([(up[0] - down[0]) / 2e-6 for up, down in pairs]).T
     assert columns[:first] == pytest.approx(expected, abs=1e-7)
     if table is not None:
