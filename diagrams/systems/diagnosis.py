@@ -27,8 +27,6 @@ TELLS = 1e-3
 """m by which errors with and without an effect must differ for a push to favour either: camera and finger are
 off by a third of that."""
 
-_LOCKED = 5  # one push in this many judges a diagnosis; pushes to come test what is adopted
-
 FAILED, TRIED = "failed", "tried"
 """Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes."""
 
@@ -106,13 +104,12 @@ class Diagnosis(PythonSystem):
     - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
 
     All pushes are diagnosed when the monitor raises an alarm or is in doubt, and every few pushes even if
-    none was surprising: a late camera, for example, does not change where objects come to rest. The newest
-    fifth of the pushes is locked away to judge the answer. One effect is adopted, or two that are needed
-    together; among effects that the pushes cannot tell apart, the simplest. Effects of the force sensor are
-    not adopted, as they move nothing. If the verdict is `undecided` and the best effect gains more than is
-    likely by chance, the block asks for another push and states which models it should tell apart
-    (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the robot continues without
-    one; surprising pushes widen its intervals as it learns.
+    none was surprising: a late camera, for example, does not change where objects come to rest. One effect is
+    adopted, or two that are needed together; among effects that the pushes cannot tell apart, the simplest.
+    Effects of the force sensor are not adopted, as they move nothing. If the verdict is `undecided` and the
+    best effect gains more than is likely by chance, the block asks for another push and states which models
+    it should tell apart (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the
+    robot continues without one; surprising pushes widen its intervals as it learns.
 
     Adopted effects are tested on the next pushes. If the predictions are no better than those of a model
     without the effects, learned from the earlier pushes, the effects are dropped. If these pushes surprise,
@@ -284,10 +281,7 @@ MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed: int) -> _Answer:
     """Diagnose pushes; runs in a worker."""
-    kept = len(trials) - max(1, len(trials) // _LOCKED)
-    dataset = make(
-        [replace(trial, role="fit" if k < kept else "heldout") for k, trial in enumerate(trials)], grid
-    )
+    dataset = make([replace(trial, role="fit") for trial in trials], grid)
     found = procedure.diagnose(dataset, seed=seed)
     rivals = tuple(
         tuple((one.name, len(one.parameters)) for one in rival.effects if one.name not in OF_FORCE)
