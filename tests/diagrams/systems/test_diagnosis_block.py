@@ -292,6 +292,13 @@ def test_a_confirmed_effect_outlives_a_fault_of_the_force_sensor(monkeypatch, ag
     assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "keeps", "keeps"])
 
 
+def test_an_effect_on_trial_stays_while_it_is_among_those_named(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), ("ambiguous", ("table_tilt", "force_latency")))
+    robot.push(5, alarm=True)
+    repair = robot.push(6, alarm=True)
+    assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "keeps"])
+
+
 def test_the_test_of_an_effect_comes_before_the_next_check(monkeypatch):
     monkeypatch.setattr(SETTINGS, "every", 1)
     robot = Robot(monkeypatch, ("effect", ("table_tilt",)), without=0.03)

@@ -117,3 +117,10 @@ def test_the_force_of_an_accelerating_finger_does_not_ring_at_its_rows():
     maps = Maps(np.full(len(grid), mass / len(grid)), np.full(len(grid), mu), 0.3)
     force = slider.rollout(maps, [push]).forces_of(0)[0]
     np.testing.assert_allclose(force[:, 0], mass * (mu * 9.81 + faster), rtol=0.05)
+
+
+def test_a_stop_between_two_of_few_rows_stays_a_stop():
+    t, x = np.array([0.0, 0.5, 1.5, 2.0]), np.array([0.0, 0.0, 0.1, 0.1])
+    tip = np.column_stack([x, 0.0 * x])
+    push = observe(Trial("a", "fit", Channel(t, np.zeros((4, 3))), Channel(t, tip))).push
+    assert (np.diff(push.tip[:, 0]) / push.h).max() == pytest.approx(0.1)
