@@ -45,6 +45,9 @@ _SCREENED = 20
 
 _START_STEPS = 3
 
+_TOLD = 0.5
+"""Standard deviation, in scales, up to which the pushes bound a parameter rather than its prior."""
+
 _BLIND = 1e3
 """Standard deviation, in scales, of a parameter that a dataset does not determine."""
 
@@ -81,10 +84,14 @@ class Taught:
 
     def few(self, most: int) -> Taught:
         """The same with at most this many pushes, spread evenly."""
-        count = len(self.observations)
-        kept = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+        kept = self.evenly(most)
         base = replace(self.base, offsets=self.base.offsets[:, kept])
         return replace(self, observations=[self.observations[b] for b in kept], base=base)
+
+    def evenly(self, most: int) -> NDArray[np.int64]:
+        """Places of at most this many pushes, spread evenly."""
+        count = len(self.observations)
+        return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
     @property
     def weight(self) -> float:
@@ -331,6 +338,62 @@ class Together:
             found.append(FirstGain(effect, gain, gain - spent[best], start[best], p))
         return sorted(found, key=lambda one: -one.evidence)
 
+    def remaining(
+        self, effects: Sequence[Effect], starts: Sequence[FloatArray], answer: JointFit
+    ) -> dict[tuple[str, str], tuple[float, float, float]]:
+        """How large each effect could still be beside a fitted model, to first order around it.
+
+        From at most `_SCREENED` pushes of each dataset, with its maps and the parameters of the model's
+        effects refitted, and widened where the datasets disagree beyond their errors.
+
+        Args:
+            effects: all that were tried, those of the model among them.
+            starts: parameters (P,) of each, the amplitudes at their nulls; the others are held.
+            answer: the model, with or without effects.
+
+        Returns:
+            Value and ends of the 90 % interval, by effect and parameter, of amplitudes of effects that the
+            datasets share and the model lacks; only where the pushes say more than the prior.
+        """
+        values = np.concatenate([np.zeros(0), *starts])
+        ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+        at = {effect: np.arange(*span) for effect, span in zip(effects, pairwise(ends), strict=True)}
+        present = np.concatenate([np.zeros(0, np.int64), *(at[effect] for effect in answer.effects)])
+        asked = [effect for effect in effects if effect not in answer.effects and self.is_shared(effect)]
+        said: dict[Effect, list[tuple[FloatArray, FloatArray]]] = {effect: [] for effect in asked}
+        for k, one in enumerate(self.taught):
+            few, kept = one.few(_SCREENED), one.evenly(_SCREENED)
+            likelihood = few.likelihood(effects, self.weight)
+            prior = likelihood.prior
+            values[present] = answer.values(k)
+            maps = answer.found.z[0, answer.likelihood.prior.places[k][: prior.plain]]
+            z = np.concatenate([maps, prior.effect_coordinates(values)])
+            offsets = answer.found.offsets[:, answer.likelihood.pushes[k]][:, kept]
+            equations = likelihood.linearise(z[None], offsets, np.ones(1), np.ones((1, len(kept))))
+            free = np.concatenate([np.arange(prior.plain), prior.plain + present[prior.amplitudes[present]]])
+            pull = np.concatenate([maps, np.zeros(len(free) - len(maps))])
+            for effect in asked:
+                own = prior.plain + at[effect][effect.amplitudes]
+                said[effect].append(_eliminated(equations, pull, own, free=free))
+        found: dict[tuple[str, str], tuple[float, float, float]] = {}
+        for effect in asked:
+            own = at[effect][effect.amplitudes]
+            step, deviations = _agreed(said[effect])
+            low, high = (limit[own] for limit in prior.effect_bounds)
+            sizes = [
+                np.clip(
+                    prior.effect_centers[own] + prior.effect_scales[own] * (step + side * deviations),
+                    low,
+                    high,
+                )
+                for side in (0.0, -1.645, 1.645)
+            ]
+            names = [(effect.name, p.name) for p in effect.parameters if p.null is not None]
+            for name, told, *size in zip(names, deviations <= _TOLD, *sizes, strict=True):
+                if told:
+                    found[name] = (float(size[0]), float(size[1]), float(size[2]))
+        return found
+
     def fitted(self, effects: Sequence[Effect], starts: Sequence[FloatArray]) -> JointFit:
         """Fit the model with some effects, from parameters (P,) of each.
 
@@ -409,12 +472,46 @@ class JointFit:
         return prior.effect_centers + prior.effect_scales * coordinates, prior.effect_scales * deviations
 
 
+def _agreed(said: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Best step (c,) of an effect's coordinates from normal matrices and slopes of the datasets, and standard
+    deviations, widened where the datasets disagree."""
+    normals, slopes = zip(*said, strict=True)
+    covariance = np.linalg.inv(np.sum(normals, axis=0) + np.eye(len(normals[0])))
+    step = -covariance @ np.sum(slopes, axis=0)[:, 0]
+    alone = [np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(normal))) for normal in normals]
+    steps = -np.array([own @ slope[:, 0] for own, slope in zip(alone, slopes, strict=True)])
+    widths = np.sqrt([np.diagonal(own) for own in alone])
+    scatter = np.array([between(own, wide) for own, wide in zip(steps.T, widths.T, strict=True)])
+    return step, np.sqrt(np.diagonal(covariance) + scatter / len(said))
+
+
+def between(values: FloatArray, deviations: FloatArray) -> float:
+    """Variance of a quantity between datasets in excess of their standard deviations (DerSimonian and Laird,
+    1986); 0 for a single dataset.
+
+    Args:
+        values: (M,) of each dataset.
+        deviations: (M,) their standard deviations.
+    """
+    if len(values) < 2:
+        return 0.0
+    weights = deviations**-2.0
+    mean = float(weights @ values / weights.sum())
+    excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+    return max(0.0, excess / float(weights.sum() - (weights**2).sum() / weights.sum()))
+
+
 def _eliminated(
-    equations: NormalEquations, pull: FloatArray, own: np.ndarray, signs: FloatArray | None = None
+    equations: NormalEquations,
+    pull: FloatArray,
+    own: np.ndarray,
+    signs: FloatArray | None = None,
+    free: np.ndarray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (c, c) and slopes (c, 1 + D) of some coordinates, the maps (the first ones, with a prior)
-    eliminated: the slope of the data, then those with the pushes' signs (B, D) changed."""
-    maps = np.arange(len(pull))
+    """Normal matrix (c, c) and slopes (c, 1 + D) of some coordinates, with the others eliminated that have a
+    prior (`free`, or else the maps, which are first): the slope of the data, then those with the pushes'
+    signs (B, D) changed."""
+    maps = np.arange(len(pull)) if free is None else free
     hessian, slopes = equations.hessian[0], equations.gradient[0][:, None]
     pulls = pull[:, None]
     if signs is not None:

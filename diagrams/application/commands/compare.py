@@ -317,5 +317,5 @@ def _diagnose_together(
             write_json(json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_together
 
-    show_together(result, measured, where)
+    show_together(result, measured, effects, where)
     note(f"report: {output}")

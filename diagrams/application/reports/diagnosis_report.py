@@ -93,7 +93,7 @@ def joint_report(
         body = f"<p>{escape(sentence)}</p>"
         if own:
             body += table(
-                ["parameter", "value", "90 % interval", "meaning"],
+                phrases.PARAMETERS,
                 parameter_rows(effects, own),
                 numbers=(1, 2),
             )
@@ -107,6 +107,8 @@ def joint_report(
     )  # fmt: skip
     drawn = picture(joint_gain_figure(diagnosis), "Gains of all candidates", wide=True)
     body = f"<p>{phrases.JOINT_GAINS}.</p>{drawn}<details><summary>All numbers</summary>{numbers}</details>"
+    if rows := phrases.bound_rows(diagnosis, effects):
+        body += f"<p>{phrases.JOINT_BOUNDS}.</p>{table(phrases.PARAMETERS, rows, numbers=(1, 2))}"
     sections.append(Section("ranking", "Every effect that was tried", body))
     body = table(
         phrases.JOINT_DATASETS, phrases.joint_rows(diagnosis.datasets), numbers=range(1, 6),
@@ -143,7 +145,7 @@ def _answer_section(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequenc
         if estimates:
             words = effect_in_words(effect.name, estimates, dataset.grid)
             parts.append(f"<p><b>{escape(words[0].upper() + words[1:])}.</b></p>")
-            columns = ["parameter", "value", "90 % interval", "meaning"]
+            columns = phrases.PARAMETERS
             parts.append(table(columns, parameter_rows([effect], estimates), numbers=(1, 2)))
     if len(effects) > 1 and not diagnosis.together:
         parts.append('<p class="note">Each of these explains the data by itself, with the size given.</p>')

@@ -232,7 +232,7 @@ def show_diagnosis(
     if rows:
         table(
             f"Parameters of {', '.join(diagnosis.effects)}",
-            ["parameter", "value", "90 % interval", "meaning"],
+            PARAMETERS,
             rows,
             numbers=(1, 2),
         )
@@ -290,6 +290,7 @@ def _joint_standing(candidate: JointCandidate) -> str:
     return candidate.objection or few
 
 
+PARAMETERS = ("parameter", "value", "90 % interval", "meaning")
 JOINT_RANKING = ("effect", "gain", "p", "refitted", "evidence", "status")
 JOINT_DATASETS = ("dataset", "open", "locked", "without", "with", "fall", "fitted alone")
 
@@ -300,21 +301,38 @@ JOINT_ERRORS = (
 )
 
 
+JOINT_BOUNDS = (
+    "How large other effects could still be beside the answer, to first order; where the pushes do not tell,"
+    " the effect is left out"
+)
+
+
+def bound_rows(diagnosis: JointDiagnosis, effects: Sequence[Effect]) -> list[tuple[str, str, str, str]]:
+    """Parameter, value, 90 % interval and meaning of every effect that is bounded."""
+    return parameter_rows(effects, [bound for c in diagnosis.candidates for bound in c.bounds])
+
+
 def joint_rows(datasets: Sequence[DatasetResult]) -> list[list[str]]:
     """Rows of a table with the columns `JOINT_DATASETS`."""
     return [_row(one) for one in datasets]
 
 
 def show_together(
-    diagnosis: JointDiagnosis, datasets: Sequence[PushDataset], where: str = "DATASET..."
+    diagnosis: JointDiagnosis,
+    datasets: Sequence[PushDataset],
+    effects: Sequence[Effect],
+    where: str = "DATASET...",
 ) -> None:
-    """Print a joint diagnosis of datasets; `where` names them in a command."""
+    """Print a joint diagnosis of datasets; `effects` are all that were tried, `where` names the datasets in a
+    command."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, datasets), where_it_falls(diagnosis)):
         paragraph(text)
     paragraph(f"Next: {diagnosis.next_step(where)}")
     click.echo()
     table(JOINT_GAINS, JOINT_RANKING, joint_ranking(diagnosis), numbers=(1, 2, 3, 4))
+    if rows := bound_rows(diagnosis, effects):
+        table(JOINT_BOUNDS, PARAMETERS, rows, numbers=(1, 2))
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(diagnosis.datasets), numbers=(1, 2, 3, 4, 5))
 
 

@@ -208,6 +208,13 @@ class JointCandidate:
     in_set: bool  # whether the data cannot rule it out
     # what speaks against an effect that the locked pushes have judged; `not refitted` where a refit failed
     objection: str | None
+    # how large an effect that the datasets share could still be beside the answer, to first order; empty for
+    # effects of the answer and where the pushes do not tell
+    bounds: tuple[ParameterEstimate, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The machine-readable result."""
+        return vars(self) | {"bounds": _by_name(self.bounds)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +303,7 @@ class JointDiagnosis:
             "effects": list(self.effects),
             "shared": self.shared,
             "parameters": _by_effect(self.parameters),
-            "candidates": [vars(candidate) for candidate in self.candidates],
+            "candidates": [candidate.to_json() for candidate in self.candidates],
             "p_value": self.p_value,
             "datasets": [one.to_json() for one in self.datasets],
             "fall": self.fall,

@@ -47,7 +47,7 @@ from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.push_errors import errors
-from slipmap.models.inference.together import JointFit, Taught, Together, is_shared
+from slipmap.models.inference.together import JointFit, Taught, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
@@ -332,6 +332,11 @@ class _Inquiry:
         objections |= {one.name: self._objection(one) for one in judged if one not in there}
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
+        remaining = {}
+        if draws:
+            answer = kept[0].fit if kept else base
+            starts = {one.effect: one.start for one in first}
+            remaining = self.together.remaining(self.effects, [starts[e] for e in self.effects], answer)
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
@@ -341,6 +346,11 @@ class _Inquiry:
                 evidence.get(one.effect.name),
                 any(one.effect.name == rival.name for rival in kept),
                 objections.get(one.effect.name),
+                tuple(
+                    ParameterEstimate(one.effect.name, p.name, p.unit, *remaining[one.effect.name, p.name])
+                    for p in one.effect.parameters
+                    if (one.effect.name, p.name) in remaining
+                ),
             )
             for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
         )
@@ -443,7 +453,7 @@ class _Inquiry:
                 scales[i] = fit.deviations(0)[i]
                 continue
             own, widths = (np.array([one[part][i] for one in alone]) for part in (0, 1))
-            scatter = _between(own, widths)
+            scatter = between(own, widths)
             weights = 1.0 / (widths**2 + scatter)
             if place is not None:
                 weights[place] = 0.0
@@ -510,7 +520,7 @@ class _Inquiry:
         alone = [one.fit.alone(k) for k in range(len(self.asked))]
         amplitudes = np.concatenate([effect.amplitudes for effect in one.fit.effects])
         for i in np.flatnonzero(amplitudes):
-            scatter = _between(np.array([v[i] for v, _ in alone]), np.array([s[i] for _, s in alone]))
+            scatter = between(np.array([v[i] for v, _ in alone]), np.array([s[i] for _, s in alone]))
             deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(alone))
         every = _intervals(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
@@ -582,17 +592,6 @@ def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progres
     taught = Taught.of(dataset, observe_all(dataset, open_trials), progress)
     judging = [trial for trial in dataset.trials if trial.name in locked]
     return _Ground(taught, observe_all(dataset, judging), whole)
-
-
-def _between(values: FloatArray, deviations: FloatArray) -> float:
-    """Variance of a quantity between datasets in excess of their standard deviations (DerSimonian and Laird,
-    1986); 0 for a single dataset."""
-    if len(values) < 2:
-        return 0.0
-    weights = deviations**-2.0
-    mean = float(weights @ values / weights.sum())
-    excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
-    return max(0.0, excess / float(weights.sum() - (weights**2).sum() / weights.sum()))
 
 
 def _intervals(

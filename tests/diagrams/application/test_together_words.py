@@ -41,10 +41,11 @@ def made(*falls, verdict="effect"):
         )
         for k, fall in enumerate(falls)
     )
+    slope = ParameterEstimate("table_tilt", "down_x", "rad", 0.001, -0.002, 0.004)
     candidates = (
         JointCandidate("sensor_latency", 20.0, 0.005, 25.0, 22.0, named, None),
         JointCandidate("tether", 9.0, 0.4, 12.0, 8.0, False, None),
-        JointCandidate("table_tilt", 8.0, 0.6, 6.0, 2.0, False, None),
+        JointCandidate("table_tilt", 8.0, 0.6, 6.0, 2.0, False, None, (slope,)),
         JointCandidate("skate", 1.0, 1.0, None, None, False, None),
     )
     return JointDiagnosis(
@@ -77,7 +78,7 @@ def test_a_failed_refit_is_not_taken_for_an_effect_behind_others():
 
 def test_what_is_printed_names_sizes_and_the_next_command(capsys):
     dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
-    show_together(made(4.0, 5.0), [dataset], "A B --apart table")
+    show_together(made(4.0, 5.0), [dataset], LIBRARY, "A B --apart table")
     printed = " ".join(capsys.readouterr().out.split())
     for words in (
         "25 ms late (20 to 30)",
@@ -86,6 +87,7 @@ def test_what_is_printed_names_sizes_and_the_next_command(capsys):
         "12.0 8.0 others explain more",
         "6.0 2.0 explains too little",
         "– – behind others to first order",
+        "down_x, rad 0.0010 -0.0020 to 0.0040",
         "set 0 (whole)",
         "5.0",
     ):

@@ -110,6 +110,39 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.02)
 
 
+def test_what_is_not_named_is_bounded_beside_the_answer(recorded):
+    datasets = [shifted(recorded.dataset, 2e-3), shifted(recorded.dataset.with_fit_pushes(3), 2e-3)]
+    taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in datasets]
+    effects = (Shift(), SHARED, OWN)
+    together = Together(taught)
+    starts = {one.effect: one.start for one in together.first_gains(effects, lambda done, total: None)}
+    every = [starts[effect] for effect in effects]
+    without = together.remaining(effects, every, together.fitted((), ()))
+    slopes = [("table_tilt", "down_x"), ("table_tilt", "down_y")]
+    assert set(without) == {("shift", "x"), *slopes}  # each object would have a grain of its own
+    value, low, high = without["shift", "x"]
+    assert 0.0 < low < 2e-3 < high and low < value < high
+    beside = together.remaining(effects, every, together.fitted([effects[0]], [starts[effects[0]]]))
+    assert set(beside) == set(slopes)
+    for name in slopes:
+        # The table is level, and the pushes bound its slope to less than half of what is usual.
+        _, low, high = beside[name]
+        assert low < 0.0 < high and high - low < 0.03
+
+
+def test_datasets_that_disagree_bound_an_effect_less(recorded):
+    bounds = []
+    for other in (2e-3, 1e-3, -2e-3):
+        datasets = [shifted(recorded.dataset, 2e-3), shifted(recorded.dataset.with_fit_pushes(3), other)]
+        taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in datasets]
+        together, effect = Together(taught), Shift()
+        found = together.remaining([effect], [effect.nulls], together.fitted((), ()))
+        bounds.append(found.get(("shift", "x")))
+    (_, low, high), (_, apart_low, apart_high), opposed = bounds
+    assert apart_high - apart_low > 1.5 * (high - low)
+    assert opposed is None
+
+
 def test_signs_of_whole_pushes_turn_their_slopes_and_leave_the_prior_aside(parts):
     part, plain = parts[1], parts[1].prior.plain
     z = np.full((1, part.prior.size), 0.1)

@@ -8,11 +8,11 @@ import pytest
 from slipmap.models.effects.library import AnisotropicTable, SensorLatency, TrackerScale
 from slipmap.models.inference.diagnosis import several
 from slipmap.models.inference.diagnosis.several import (
-    _between,
     diagnose_together,
     fit_together,
     named_by_evidence,
 )
+from slipmap.models.inference.together import between
 from slipmap.models.measurements import DatasetError
 from slipmap.models.physics.rollout import RolloutError
 
@@ -204,8 +204,8 @@ def test_an_unknown_owner_is_refused(recorded):
 
 def test_variance_between_datasets_is_what_their_own_does_not_explain():
     deviations = np.array([0.1, 0.1, 0.1])
-    assert _between(np.array([1.0, 1.05, 0.95]), deviations) == 0.0
-    assert _between(np.array([0.0, 1.0, 2.0]), deviations) == pytest.approx(1.0 - 0.01)
+    assert between(np.array([1.0, 1.05, 0.95]), deviations) == 0.0
+    assert between(np.array([0.0, 1.0, 2.0]), deviations) == pytest.approx(1.0 - 0.01)
 
 
 def test_nothing_is_named_behind_an_effect_that_fails_in_one_dataset_but_explains_far_more(
