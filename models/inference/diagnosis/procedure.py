@@ -4,7 +4,8 @@
 2. Every candidate is added to first order, with the maps refitted, and scored on left-out pushes. The
    largest gain is compared with the largest gain by chance. If it is no larger, the model is adequate or the
    data are too few.
-3. Candidates are refitted in full, under the error model of the best.
+3. Candidates are refitted in full, under the error model of the best. A gain of step 2 that a refit does not
+   find again does not count.
 4. Each remaining candidate is screened again: does anything gain on top of it? The true effect leaves nothing
    to gain; an impostor leaves the true one. The candidates that pass are the answer: one, or a set.
 5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library.
@@ -218,6 +219,7 @@ class Inquiry:
         self.error = self.refits.error
         if self._found_better_base():
             return self.run()
+        missing = missing and not self.rules.vanishes(self.first, self.refits.gains)
         if not missing and max(self.refits.gains.values(), default=0.0) < UNKNOWN_GAIN:
             return self._nothing_found()
         disagreement = self._disagreement()

@@ -71,6 +71,9 @@ _FAR_WORSE = 0.6
 _FAR_WORSE_GAIN = 10.0
 """The same share and nats beyond which a candidate is not screened for what it leaves."""
 
+_SHRUNK = 0.5
+"""Share of its first-order gain that a real effect at least gains when refitted."""
+
 ROUGH = 0.03
 """α above which an error model is rough: it describes pushes that scatter, not sensor noise."""
 
@@ -129,6 +132,19 @@ class Rules:
     def missing(self, first: Screening) -> bool:
         """Whether the model without effects lacks anything."""
         return self.found(first, 0.0, PROBE_GAIN) is not None
+
+    def vanishes(self, first: Screening, gains: Mapping[str, float]) -> bool:
+        """Whether every gain that counts is an effect's and shrinks to less than half when refitted.
+
+        A real gain grows with a refit, which is made on the same pushes and not on left-out ones.
+        """
+        counted = [
+            i
+            for i, effect in enumerate(first.candidates)
+            if self.beyond_chance(first, float(first.gain[i]))
+            and (effect in self.effects or first.gain[i] > PROBE_GAIN)
+        ]
+        return all(gains.get(first.candidates[i].name, np.inf) < _SHRUNK * first.gain[i] for i in counted)
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
         """What is left to gain on top of a candidate that gains `own_gain` nats when refitted."""

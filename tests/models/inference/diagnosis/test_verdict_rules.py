@@ -124,15 +124,18 @@ def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
         assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
-def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None):
+def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False, refitted=1000.0):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
     inquiry = object.__new__(steps.Inquiry)
-    refits = SimpleNamespace(error=None, fits={"some": None}, gains={"some": 1000.0})
+    refits = SimpleNamespace(error=None, fits={"some": None}, gains={"some": refitted})
     monkeypatch.setattr(steps, "refit_candidates", lambda *arguments, **options: refits)
     for name, value in {
-        "rules": SimpleNamespace(missing=lambda screening: True),
+        "rules": SimpleNamespace(
+            missing=lambda screening: True, vanishes=lambda screening, gains: vanishes
+        ),
+        "_nothing_found": lambda: outcomes.nothing_missing(None),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
@@ -146,6 +149,11 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None):
 @pytest.mark.parametrize(("gain", "said"), [(15.0, "undecided"), (40.0, "undecided"), (60.0, "unknown")])
 def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
     assert verdict(monkeypatch, gain).verdict == said
+
+
+def test_a_finding_that_vanishes_and_leaves_nothing_clear_is_adequate(monkeypatch):
+    assert verdict(monkeypatch, 15.0, vanishes=True, refitted=22.0).verdict == "adequate"
+    assert verdict(monkeypatch, 15.0, vanishes=True, refitted=60.0).verdict == "undecided"
 
 
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
@@ -259,6 +267,27 @@ def test_a_faint_finding_is_left_to_the_locked_pushes(gain, refitted, by_chance,
     # Two pushes of which one is hardly helped: that may be chance.
     before, after = errors(4.0, 4.0), errors(1.0, 3.9)
     assert locked_pushes_object(True, before, after) and not locked_pushes_object(False, before, after)
+
+
+@pytest.mark.parametrize(
+    ("gains", "probe", "vanishes"),
+    [
+        ((0.0, 22.0), 1.0, True),  # the second gains no more than chance to first order
+        ((6.0, 0.0), 1.0, False),
+        ((0.0, 0.0), 30.0, False),  # a probe's gain, which is not refitted, stays
+        ((0.0, 0.0), 15.0, True),  # unless it may come from errors of grid and contact
+    ],
+)
+def test_a_gain_that_a_refit_does_not_find_again_does_not_count(gains, probe, vanishes):
+    effects, rules = LIBRARY[:2], Rules(LIBRARY, simulated=True)
+    chance = np.full((3, 199), 7.0)
+    first = Screening(
+        (*effects, PROBES[0]), np.array([10.0, 5.0, probe]), np.zeros(3), chance, chance, np.ones(3)
+    )
+    assert rules.missing(first)
+    refitted = {effect.name: gain for effect, gain in zip(effects, gains, strict=True)}
+    assert rules.vanishes(first, refitted) is vanishes
+    assert not rules.vanishes(first, {})  # not refitted
 
 
 @pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
