@@ -80,7 +80,7 @@ def _show(found: DatasetCheck, folder: Path, where: str) -> None:
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
         paragraph(f"These pushes could reveal the following {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not reveal (reasons in brackets): {', '.join(other)}.")
+            paragraph(f"They could not reveal (why in brackets): {', '.join(other)}.")
     _show_advice(found, folder, where)
 
 
@@ -97,7 +97,7 @@ def _show_advice(found: DatasetCheck, folder: Path, where: str) -> None:
     paragraph(
         "Something is WRONG: correct it first, or what is learned will be wrong."
         if found.wrong
-        else f"The recording is sound. Next: slipmap identify {where} -o belief.npz"
+        else f"{found.headline} Next: slipmap identify {where} -o belief.npz"
     )
 
 
@@ -132,11 +132,9 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
     if found.provenance:
         done = html_table(["processing steps"], [[sentence] for sentence in found.provenance])
         sections.append(Section("provenance", "Provenance", done))
-    wrong = [one.what for one in found.findings if one.verdict == "wrong"]
-    headline = f"Wrong: {', '.join(wrong)}." if wrong else "The recording is sound."
     lead = [f"Worth adding: {wanted}." for wanted in found.advice]
     subtitle = f"{len(dataset.trials)} pushes, before anything is learned"
-    return page(f"{found.dataset}: check", subtitle, lead, sections, headline)
+    return page(f"{found.dataset}: check", subtitle, lead, sections, found.headline)
 
 
 @click.command("import")
