@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -211,6 +212,6 @@ def import_files(
     heldout = len(dataset.heldout_trials)
     count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
     click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
-    note(f"dataset: {output}\npicture: {picture}")
+    note(f"dataset: {output}\npicture: {picture if output.is_absolute() else os.path.relpath(picture)}")
     where = shlex.quote(str(output))
     note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")
