@@ -132,9 +132,12 @@ class Diagnosis(Outcome):
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
             return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
-        push = "record the proposed push" if self.next_push is not None else "record more pushes"
-        push += ", add it to the dataset" if self.next_push is not None else ", add them to the dataset"
-        push += " (if it was imported: import all files again)"
+        push = "record more pushes into the dataset (imported files: import all again)"
+        if self.next_push is not None:
+            push = (
+                "record the proposed push and add it with `role: fit` (imported files: import all again, then"
+                " set its role in the dataset.yaml)"
+            )
         if self.quick and self.verdict != "adequate":
             return f"run {again} without --quick to learn how certain this is."
         if self.verdict == "adequate":
