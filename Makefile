@@ -64,6 +64,7 @@ $(STAMP): pyproject.toml
 	@echo "installing slipmap and what it needs into $(VENV), once; this can take some minutes"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
 	@$(BIN)/python .ci/system_libraries.py
+	@echo "slipmap is installed; \`. $(BIN)/activate\` puts its commands on your path"
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays

@@ -232,7 +232,8 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(
         f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
-        f" Declare other names and units under the key csv in the YAML file of --object{_further(header)}"
+        " Declare other names and units under the key csv in the YAML file of --object, or import the file,"
+        f" beginning with `slipmap import {shlex.quote(where)} --guess`{_further(header)}"
     )
 
 

@@ -39,6 +39,7 @@ _GAP = 0.25  # s without a pose of a moving object
 _WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong
 _NOTABLE_LAG = 1e-3  # m between object and finger because of a lag
 _FORCE_LATE = 0.01  # s
+_SETUP = " (`clock` in a setup.yaml)"
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
@@ -111,6 +112,17 @@ class DatasetCheck:
         """Whether anything learned from these pushes would be wrong."""
         return any(finding.verdict == "wrong" for finding in self.findings)
 
+    @property
+    def headline(self) -> str:
+        """What the findings come to, in a sentence."""
+        doubted = [one.what for one in self.findings if one.advice]
+        if self.wrong:
+            wrong = [one.what for one in self.findings if one.verdict == "wrong"]
+            return f"Wrong: {', '.join(wrong)}."
+        if doubted:
+            return f"The recording is usable, with a doubt about: {', '.join(doubted)}."
+        return "The recording is sound."
+
     def to_json(self) -> dict[str, Any]:
         """For `--json`."""
         return {
@@ -152,7 +164,10 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         if len(text) < 600 and not any(text in advice or advice in text for advice in said)
     ]
     coverage = _coverage(dataset, rows)
-    effects = tuple(Told(name, needs(coverage), reason) for name, (needs, reason) in EFFECT_NEEDS.items())
+    effects = tuple(
+        Told(name, could := shows(coverage), words if could else f"needs {words}")
+        for name, (shows, words) in EFFECT_NEEDS.items()
+    )
     return DatasetCheck(
         dataset.name, tuple(findings), coverage, tuple(_quantities(coverage)), effects,
         tuple(_advice(coverage)), dataset.provenance,
@@ -263,7 +278,7 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
         error = max(error, float(np.median([lag.error for lag in lags])))
         apart = abs(middle) * float(np.median(speed))
         text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
-        advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's"
+        advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's{_SETUP}"
         sure = abs(middle) > 3.0 * error and apart > _NOTABLE_LAG
         verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
         findings.append(Finding("clock of the finger", text, verdict, advice if sure else ""))
@@ -276,7 +291,7 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
         sure = lag.sure and abs(lag.value) > _FORCE_LATE
         findings.append(
             Finding("clock of the force", text, "note" if sure else "good",
-                    f"add {lag.value:.3f} s to the stamps of the force" if sure else "")
+                    f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure else "")
         )  # fmt: skip
     return findings
 

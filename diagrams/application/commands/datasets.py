@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +81,7 @@ def _show(found: DatasetCheck, folder: Path, where: str) -> None:
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
         paragraph(f"These pushes could reveal the following {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not reveal (reasons in brackets): {', '.join(other)}.")
+            paragraph(f"They could not reveal (why in brackets): {', '.join(other)}.")
     _show_advice(found, folder, where)
 
 
@@ -97,7 +98,7 @@ def _show_advice(found: DatasetCheck, folder: Path, where: str) -> None:
     paragraph(
         "Something is WRONG: correct it first, or what is learned will be wrong."
         if found.wrong
-        else f"The recording is sound. Next: slipmap identify {where} -o belief.npz"
+        else f"{found.headline} Next: slipmap identify {where} -o belief.npz"
     )
 
 
@@ -132,11 +133,9 @@ def _page(found: DatasetCheck, dataset: PushDataset) -> str:
     if found.provenance:
         done = html_table(["processing steps"], [[sentence] for sentence in found.provenance])
         sections.append(Section("provenance", "Provenance", done))
-    wrong = [one.what for one in found.findings if one.verdict == "wrong"]
-    headline = f"Wrong: {', '.join(wrong)}." if wrong else "The recording is sound."
     lead = [f"Worth adding: {wanted}." for wanted in found.advice]
     subtitle = f"{len(dataset.trials)} pushes, before anything is learned"
-    return page(f"{found.dataset}: check", subtitle, lead, sections, headline)
+    return page(f"{found.dataset}: check", subtitle, lead, sections, found.headline)
 
 
 @click.command("import")
@@ -213,6 +212,6 @@ def import_files(
     heldout = len(dataset.heldout_trials)
     count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
     click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
-    note(f"dataset: {output}\npicture: {picture}")
+    note(f"dataset: {output}\npicture: {picture if output.is_absolute() else os.path.relpath(picture)}")
     where = shlex.quote(str(output))
     note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")

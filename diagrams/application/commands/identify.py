@@ -99,9 +99,9 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
     from slipmap.models.measurements.dataset_check import check_dataset
 
     found = check_dataset(dataset)
-    wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
     more = f"; `slipmap check {options.typed([where])}` says more"
-    note(f"check: wrong in the recording: {', '.join(wrong)}{more}" if wrong else "check: recording is sound")
+    sound = not any(finding.advice for finding in found.findings)
+    note("check: recording is sound" if sound else f"check: {found.headline.rstrip('.')}{more}")
     note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes to add")
 
 

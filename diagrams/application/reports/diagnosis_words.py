@@ -94,7 +94,8 @@ def evidence(diagnosis: Diagnosis) -> str:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
     return (
         f"{text}. Gain: natural logarithm (nats) of how much more probable an effect makes left-out pushes;"
-        " 10 nats are a factor of 22,000."
+        " 10 nats are a factor of 22,000. Refitted: how much more probable it makes the open pushes once"
+        " everything is fitted again."
     )
 
 

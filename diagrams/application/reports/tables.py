@@ -61,7 +61,21 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str |
     for doubt in doubts(pushes, dataset):
         paragraph(doubt)
     if where is not None:
+        _show_too_few_judges(pushes, where)
         show_surprises(pushes, where)
+
+
+def _show_too_few_judges(pushes: Sequence[Prediction], where: str) -> None:
+    """Say what one or two held-out pushes hint at, on which `doubts` says nothing."""
+    held = [push for push in pushes if push.role == "heldout"]
+    error, uniform = (sum(getattr(push, of) for push in held) for of in _MEASURES[:2])
+    surprising = phrases.surprises(held).beyond_chance
+    if len(held) < _FEWEST_JUDGES and error > HARDLY_BETTER * uniform and not surprising:
+        paragraph(
+            f"Held-out pushes end {1e3 * error / len(held):.1f} mm off, a uniform object"
+            f" {1e3 * uniform / len(held):.1f} mm: too few to tell whether the model fails. `slipmap diagnose"
+            f" {where}` weighs all pushes."
+        )
 
 
 def show_surprises(pushes: Sequence[Prediction], where: str) -> None:

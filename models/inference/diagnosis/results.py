@@ -132,7 +132,12 @@ class Diagnosis(Outcome):
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
             return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
-        push = "record the proposed push" if self.next_push is not None else "record more pushes"
+        push = "record more pushes into the dataset (imported files: import all again)"
+        if self.next_push is not None:
+            push = (
+                "record the proposed push and add it with `role: fit` (imported files: import all again, then"
+                " set its role in the dataset.yaml)"
+            )
         if self.quick and self.verdict != "adequate":
             return f"run {again} without --quick to learn how certain this is."
         if self.verdict == "adequate":
@@ -143,7 +148,7 @@ class Diagnosis(Outcome):
             output = f"with-{'-'.join(self.effects)}.npz"
             return f"run `slipmap fit {where} {names}{more} -o {output}` to learn this model."
         if self.verdict == "ambiguous":
-            return f"{push} into the same folder, then run {again} again."
+            return f"{push}, then run {again} again."
         if self.verdict == "unknown":
             return (
                 f"run `slipmap compare {where}` to see where and how the model fails; write your own effect"

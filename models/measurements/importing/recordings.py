@@ -124,18 +124,19 @@ def import_dataset(
                 read[name] = _recording(name, groups[name], said, reader, usual)
     done: dict[str, list[str]] = {}
     warnings = list(said.warnings)
-    for name, one in read.items():
+    for one in read.values():
         warnings += one.doubts
-        for step in dict.fromkeys(one.steps):
-            done.setdefault(step, []).append(name)
+        for label, step in dict.fromkeys(one.steps):
+            done.setdefault(step, []).append(label)
+    parts = len({label for one in read.values() for label in one.labels})
     warnings = parsing.grouped(warnings)
     trials = last_held_out([trial for one in read.values() for trial in one.trials])
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (
         f"imported from {parsing.listed(list(files))}",
         *(
-            step if len(names) == len(groups) else f"{parsing.listed(names)}: {step}"
-            for step, names in done.items()
+            step if len(labels) == parts else f"{parsing.listed(labels)}: {step}"
+            for step, labels in done.items()
         ),
         *warnings,
     )
@@ -239,7 +240,8 @@ class _Files:
 class _Recording:
     trials: list[Trial] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)  # what looks wrong
-    steps: list[str] = field(default_factory=list)  # what was done
+    labels: list[str] = field(default_factory=list)  # of what was told apart by numbers or stamps
+    steps: list[tuple[str, str]] = field(default_factory=list)  # label, and what was done
     force_lags: list[Lag | None] = field(default_factory=list)  # of each part with a force to be aligned
 
 
@@ -264,11 +266,13 @@ def _recording(
     whole = _Recording()
     pushes = dict(_pushes_told_apart(name, sources, said))
     if len(pushes) > 1:
-        whole.steps.append("cut into pushes by their numbers, or where the stamps start again")
+        told_apart = "cut into pushes by their numbers, or where the stamps start again"
+        whole.steps.extend((label, told_apart) for label in pushes)
     for label, parts in pushes.items():
         found = _one_clock(label, parts, said, usual)
         whole.trials.extend(found.trials)
         whole.doubts.extend(found.doubts)
+        whole.labels.append(label)
         whole.steps.extend(found.steps)
         whole.force_lags.extend(found.force_lags)
     return whole
@@ -416,13 +420,13 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     steps += ["cut where the object is carried while the finger is away"] if cuts else []
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
     if len(parted) > len(pushes):
-        steps.append("cut where the object rests and the finger leaves it")
+        steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
     for piece in parted:
         refuse_long(piece.object_pose, f"{piece.name}")
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
-    return _Recording(parted, doubts, steps, force_lags)
+    return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags)
 
 
 def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
@@ -483,7 +487,7 @@ def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
         return trial, []
     free = free_force(said.setup, trial.object_pose, trial.tip_pose, force)
     if free is None:
-        return trial, ["ft_wrench: no rows before touch, so its bias is unknown and nothing was taken off"]
+        return trial, ["ft_wrench: no rows before touch, so its bias is unknown; left as it is"]
     bias, error, count = free
     if not bias_matters(bias, error, force):
         return trial, ["ft_wrench: no significant bias before touch; left as it is"]

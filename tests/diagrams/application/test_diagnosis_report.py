@@ -176,6 +176,7 @@ def test_every_verdict_ends_with_a_command(tilted, verdict, command, capsys):
     show_diagnosis(told, dataset, EFFECTS, "my/pushes")
     assert " ".join(capsys.readouterr().out.split()).endswith(told.next_step("my/pushes"))
     assert told.to_json("my/pushes")["next_step"] == told.next_step("my/pushes")
+    assert ("imported" in told.next_step()) == (verdict in ("ambiguous", "undecided"))
 
 
 def test_every_key_of_the_json_is_documented(tilted):

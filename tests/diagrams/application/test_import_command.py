@@ -35,11 +35,13 @@ def lab(tmp_path):
     return tmp_path
 
 
-def test_import_and_check(slipmap, lab):
-    said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
+def test_import_and_check(slipmap, lab, monkeypatch):
+    monkeypatch.chdir(lab)
+    said = slipmap("import", "push.csv", "-o", "pushes")
     assert said.code == 0, said.err
     assert "pushes: 1 push, 0 of them held out" in said.out
     assert (lab / "pushes.png").stat().st_size > 10_000
+    assert "\npicture: pushes.png\n" in said.err
     dataset = read_dataset(lab / "pushes")
     assert dataset.trials[0].object_pose.values[-1, 0] == pytest.approx(WAY[-1] - 0.01, abs=1e-6)
     assert "imported from push.csv" in dataset.provenance[0]

@@ -242,6 +242,16 @@ def test_one_push_that_misses_by_more_than_its_interval_is_told(capsys):
     assert "diagnose" not in capsys.readouterr().out
 
 
+def test_two_held_out_pushes_that_a_uniform_object_predicts_as_well_send_to_diagnose(capsys):
+    """Ten pushes leave two to judge by: too few for a doubt, but no reason to be silent."""
+    for uniform, told in ((0.0045, True), (0.0055, False)):
+        held = [prediction(role="heldout", final_add=0.004, uniform_add=uniform) for _ in range(2)]
+        show_errors(held, recorded_by(Noise()), "demo/pushes")
+        said = " ".join(capsys.readouterr().out.split())
+        assert ("end 4.0 mm off, a uniform object 4.5 mm: too few" in said) == told
+        assert ("`slipmap diagnose demo/pushes`" in said) == told
+
+
 def test_as_many_surprises_as_chance_has_send_nobody_to_diagnose():
     usual = [prediction(f"trials/{k:03d}.json", "heldout") for k in range(29)]
     barely = prediction("trials/030.json", "heldout", final_add=0.004, excess=1.05)

@@ -39,6 +39,7 @@ def test_nothing_is_wrong_with_good_pushes():
     check = check_dataset(straight_pushes(8))
     assert not check.wrong
     assert {one.verdict for one in check.findings} == {"good"}, check.findings
+    assert check.headline == "The recording is sound."
 
 
 def test_a_late_finger_is_told_with_its_size():
@@ -47,7 +48,7 @@ def test_a_late_finger_is_told_with_its_size():
 
     check = changed(late)
     found = finding(check, "clock of the finger")
-    assert found.verdict == "wrong"
+    assert found.verdict == "wrong" and check.headline.startswith("Wrong: clock of the finger")
     assert float(found.found.split("finger ")[1].split(" ms late")[0]) == pytest.approx(50.0, abs=5.0)
 
 
@@ -55,8 +56,10 @@ def test_a_late_force_is_told_with_its_size():
     def late(trial):
         return replace(trial, ft_wrench=Channel(trial.ft_wrench.time + 0.03, trial.ft_wrench.values))
 
-    found = finding(changed(late), "clock of the force")
+    check = changed(late)
+    found = finding(check, "clock of the force")
     assert found.verdict == "note"
+    assert check.headline == "The recording is usable, with a doubt about: clock of the force."
     assert float(found.found.split("force ")[1].split(" ms late")[0]) == pytest.approx(30.0, abs=6.0)
 
 
@@ -202,6 +205,7 @@ def test_coverage_and_what_is_missing():
     assert check.coverage.fastest == pytest.approx(0.08, rel=0.05)
     assert not check.coverage.speeds_differ
     told = {one.name: one.could for one in (*check.quantities, *check.effects)}
+    assert all(one.reason.startswith("needs ") != one.could for one in check.effects)
     assert told["total friction"] and not told["stribeck_friction"]
     assert any("twice as fast" in wanted for wanted in check.advice)
     still = changed(posed(lambda pose: 0.0 * pose + pose[0]))

@@ -226,6 +226,26 @@ def test_a_push_has_one_number_however_files_write_it(tmp_path):
     assert dataset.trials[1].tip_pose.values[0] == pytest.approx(TIP[0] + 0.01)
 
 
+def test_provenance_names_the_pushes_that_were_treated_otherwise(tmp_path):
+    """Of three numbered pushes, the second is cut: after a rest the finger returns and pushes again."""
+    back = np.linspace(TIP[-1], TIP[-1] - [0.02, 0.0], 50)
+    onward = TIP[-1] - [0.02, 0.0] + np.column_stack([0.06 * np.clip(TIME, 0.0, 1.0), 0.0 * TIME])
+    tip = np.concatenate([TIP, back, onward])
+    pose = np.zeros((len(tip), 3))
+    pose[:, 0] = np.maximum.accumulate(np.maximum(tip[:, 0] + 0.035, 0.0))
+    numbers = np.repeat([1, 2, 3], [len(TIME), len(tip), len(TIME)])
+    time = 0.01 * np.arange(len(numbers))
+    columns = [numbers, time, np.concatenate([POSE, pose, POSE]), np.concatenate([TIP, tip, TIP])]
+    file = written(tmp_path / "p.csv", ["push_id", "t", "x", "y", "theta", "a", "b"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    dataset = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None)
+    assert [trial.name for trial in dataset.trials] == ["p.csv#1", "p.csv#2#1", "p.csv#2#2", "p.csv#3"]
+    assert dataset.provenance[1:] == (
+        "cut into pushes by their numbers, or where the stamps start again",
+        "p.csv#2: cut into 2 pushes where the object rests and the finger leaves it",
+    )
+
+
 def test_stamps_that_start_anew_in_one_file_alone_are_refused(tmp_path):
     twice = [np.tile(TIME, 2), np.tile(POSE, (2, 1))]
     written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], twice)
