@@ -1,6 +1,6 @@
 """A child process that is fed through a pipe and ends when the pipe is closed.
 
-Its command line is `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
+Its command line is `python -m slipmap.diagrams.hardware.child PARENT MODULE:FUNCTION ARGUMENT …`.
 """
 
 import os
@@ -33,7 +33,7 @@ class Child:
         target = f"{function.__module__}:{function.__qualname__}"
         # In a session of its own it does not get Ctrl-C, which is meant for the parent.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__, target, *arguments],
+            [sys.executable, "-m", __name__, str(os.getpid()), target, *arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
         )  # fmt: skip
         try:
@@ -91,9 +91,9 @@ def have_priority() -> None:
 
 
 if __name__ == "__main__":
-    prepare_worker()
-    module, _, name = sys.argv[1].partition(":")
+    prepare_worker(int(sys.argv[1]))
+    module, _, name = sys.argv[2].partition(":")
     try:
-        getattr(import_module(module), name)(*sys.argv[2:])
+        getattr(import_module(module), name)(*sys.argv[3:])
     except HardwareError as failure:
         sys.exit(f"slipmap: {failure}")

@@ -157,6 +157,20 @@ class RunFolder:
         except DatasetError as error:
             raise BadInput(str(error)) from error
 
+    def clear(self, *files: str) -> None:
+        """Remove what an earlier run left, so that no file of it is taken for one of this run.
+
+        Args:
+            files: names of its files, in addition to the pushes.
+
+        Raises:
+            BadInput: like `keep`.
+        """
+        with writing(self._folder / PUSHES):
+            self._pushes.clear()
+            for name in files:
+                (self._folder / name).unlink(missing_ok=True)
+
     def keep(self, recorded: RecordedRun) -> None:
         """Write the pushes that are not there yet. Raises BadInput like `keep_trials`."""
         keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
@@ -198,6 +212,8 @@ class PregraspFolder(RunFolder):
 
     def keep(self, recorded: RecordedRun) -> None:
         """See `RunFolder.keep`."""
+        if self._run is None:
+            self.clear()
         pushes = [{"digest": digest} for digest in _digests_of(recorded.trials)]
         self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
         write_json(self._folder / RUN, self._run)
@@ -286,6 +302,7 @@ class ExplorationFolder(RunFolder):
         """See `RunFolder.keep`; an error also says what is kept and how to continue."""
         settings = self._settings(recorded) if self._run is None else {}
         if self._run is None:
+            self.clear(*settings)
             self._run = {
                 "format": FORMAT,
                 "ended": False,
@@ -342,9 +359,9 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     Raises:
         BadInput: the folder has no run, or a file of it is missing or belongs to another run.
     """
-    if not (folder / RUN).is_file():
+    if not ((folder / RUN).is_file() and (folder / PUSHES).is_dir()):
         raise BadInput(
-            f"{folder}: holds no run of `slipmap explore` that recorded a push; start one with --out {folder}"
+            f"{folder}: holds no run of `slipmap explore` with pushes; start one with --out {folder}"
         )
     run = read_run(folder, FORMAT)
     try:

@@ -50,7 +50,7 @@ def workers() -> Iterator[Executor]:
     from joblib.externals.loky import ProcessPoolExecutor  # takes closures, unlike that of the library
 
     before = sys.getswitchinterval()
-    pool: Any = ProcessPoolExecutor(COUNT, timeout=None, initializer=_prepare)
+    pool: Any = ProcessPoolExecutor(COUNT, timeout=None, initializer=_prepare, initargs=(os.getpid(),))
     try:
         wait([pool.submit(_load) for _ in range(COUNT)])
         gc.collect()
@@ -74,8 +74,8 @@ def _load() -> None:
     time.sleep(0.1)
 
 
-def _prepare() -> None:
-    prepare_worker()
+def _prepare(parent: int) -> None:
+    prepare_worker(parent)
     with suppress(OSError, AttributeError):
         # Real-time priority, where it exists, is meant for the diagram, not for its workers.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import yaml
 
-from slipmap.models.files import part_of, replaced_file, replaced_folder
+from slipmap.models.files import part_of, remove_part, replaced_file, replaced_folder
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
@@ -162,6 +162,18 @@ class PushRecorder:
         self._folder = Path(folder).resolve()
         self._replaces = kept == 0 and is_replaced(self._folder, overwrite=True)
         self._kept = kept
+
+    def clear(self) -> None:
+        """Remove the pushes of an earlier run, in one step, before anything else tells of this recording.
+
+        Raises:
+            OSError: the folder is not writable.
+        """
+        if self._replaces:
+            old = part_of(self._folder)
+            os.replace(self._folder, old)
+            remove_part(old)
+            self._replaces = False
 
     def keep(self, dataset: PushDataset) -> None:
         """Write the trials that are not yet in the folder.

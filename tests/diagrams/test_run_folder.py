@@ -158,9 +158,8 @@ def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole
     assert len(before.trials) == len(before.choices) == len(before.places) == 1
 
 
-@pytest.mark.parametrize("call", [1, 2, 3, 4])
-def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, monkeypatch, call):
-    """At each of the four renames: of run file, scenario, picture and pushes."""
+def killed_at(call, work):
+    """Do the work in a process that is killed when it renames something for the given time."""
     replace, calls = os.replace, iter(range(1, 10))
 
     def killed(part, file):
@@ -171,9 +170,23 @@ def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path
     child = os.fork()
     if child == 0:
         os.replace = killed
-        recorded(tmp_path, whole, 1)
+        work()
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 9 << 8
+
+
+@pytest.mark.parametrize(("older", "call"), [(0, 1), (0, 2), (0, 3), (0, 4), *((3, k) for k in range(1, 6))])
+def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, older, call):
+    """At each rename: of an older run's pushes, and of run file, scenario, picture and pushes."""
+    if older:
+        record = recorded(tmp_path, whole, older)
+        record.end()
+        for name in (SCENARIO, PICTURE):  # as if of another object
+            (tmp_path / name).write_bytes(b"")
+    killed_at(call, lambda: recorded(tmp_path, whole, 1))
+    if call > 1:
+        with pytest.raises(BadInput, match="no run .* with pushes; start one with --out"):
+            resumed(tmp_path)
     recorded(tmp_path, whole, 2)
     assert len(resumed(tmp_path)[2].trials) == 2
     assert {path.name for path in tmp_path.iterdir()} == {PUSHES, RUN, SCENARIO, PICTURE}
@@ -355,6 +368,17 @@ def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_do
     record.end()
     PregraspFolder(tmp_path, scenario()).keep(part(whole, 1))
     assert len(read_dataset(tmp_path / PUSHES).trials) == 1
+
+
+@pytest.mark.parametrize("call", [1, 2, 3])
+def test_a_pregrasp_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, call):
+    """At each rename: of the older run's pushes, of run file and pushes."""
+    record = PregraspFolder(tmp_path, scenario())
+    record.keep(part(whole, 2))
+    record.end()
+    killed_at(call, lambda: PregraspFolder(tmp_path, scenario()).keep(part(whole, 1)))
+    PregraspFolder(tmp_path, scenario()).keep(part(whole, 2))
+    assert len(read_dataset(tmp_path / PUSHES).trials) == 2
 
 
 @pytest.mark.parametrize("command", [("demo", "-o"), ("replay", "nothing.lcmlog", "--out")])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
@@ -212,7 +213,8 @@ def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]
 
     # With one job, joblib would run in this process, and a crashing trial would kill it.
     jobs_at_once = max(2, workers)
-    with parallel_config("loky", inner_max_num_threads=1, initializer=prepare_worker):
+    watch = {"initializer": prepare_worker, "initargs": (os.getpid(),)}
+    with parallel_config("loky", inner_max_num_threads=1, **watch):
         yield from Parallel(
             n_jobs=jobs_at_once, batch_size=1, pre_dispatch=workers, return_as="generator_unordered"
         )(jobs())

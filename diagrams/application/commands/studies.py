@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -314,6 +315,7 @@ def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
         min(jobs, len(cases)),
         multiprocessing.get_context("spawn"),
         initializer=prepare_worker,
+        initargs=(os.getpid(),),
     )
     futures = {pool.submit(_run, case): case for case in cases}
     try:

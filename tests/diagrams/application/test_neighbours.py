@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from importlib import import_module
+from textwrap import indent
 from types import SimpleNamespace
 
 import pytest
@@ -41,18 +42,47 @@ lock_folder(Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
 """
+MASTERS = {
+    "campaign": """
+from slipmap.diagrams.application.campaigns.trials import TrialSpec, _in_parallel
+trial = TrialSpec("trial", "time:sleep", {"secs": 600}, 0)
+
+def trials():
+    yield trial
+    end()
+
+list(_in_parallel(trials(), 2, []))
+""",
+    "blind-test": """
+from slipmap.diagrams.application.commands import studies
+studies.as_completed = lambda futures: end()
+list(studies._run_all(["a", "b"], 2))
+""",
+    "explore": """
+from slipmap.diagrams.systems import workers
+workers.wait = lambda futures: end()
+with workers.workers():
+    pass
+""",
+}
+"""Processes that begin workers, and then are killed."""
 MASTER = """
-import os, sys, time
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-from slipmap.models.process_end import prepare_worker
+import os, signal, time
+
+def end():
+    time.sleep(float(os.environ["KILLED_AFTER"]))
+    os.kill(os.getpid(), signal.SIGKILL)
 
 if __name__ == "__main__":
-    pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=prepare_worker)
-    print(pool.submit(os.getpid).result(), flush=True)
-    pool.submit(time.sleep, 60)
-    time.sleep(60)
 """
+LATE = """
+import os, time
+if os.environ.pop("LATE_AFTER", None):
+    os.environ["LATE"] = str(os.getpid())
+while os.environ.get("LATE") == str(os.getppid()):
+    time.sleep(0.01)
+"""
+"""Makes workers begin their own work after their parent is gone."""
 
 
 def test_results_appear_together_or_not_at_all(tmp_path):
@@ -282,14 +312,21 @@ def test_a_recording_without_room_is_lost_alone(tmp_path):
         cell.keep_recording(meshcat)
 
 
-def test_workers_of_a_killed_process_end(tmp_path):
-    """The worker has the pipe of its process, which closes when the last of them is gone."""
-    (tmp_path / "master.py").write_text(MASTER)
+@pytest.mark.parametrize("late", [True, False], ids=["while they start", "at work"])
+@pytest.mark.parametrize("command", MASTERS)
+def test_workers_of_a_killed_process_end(command, late, tmp_path):
+    """The workers have the pipe of their process, which closes when the last of them is gone."""
+    (tmp_path / "master.py").write_text(MASTER + indent(MASTERS[command], "    "))
+    more = {"KILLED_AFTER": "0" if late else "3"}
+    if late:
+        (tmp_path / "sitecustomize.py").write_text(LATE)
+        more |= {"LATE_AFTER": "1"}
+    path = os.pathsep.join([str(tmp_path), ENVIRONMENT["PYTHONPATH"]])
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen([sys.executable, tmp_path / "master.py"], **pipes) as master:
-        os.kill(int(master.stdout.readline()), 0)  # the worker is there
-        master.kill()
-        assert master.stdout.read() == b""
+    environment = ENVIRONMENT | more | {"PYTHONPATH": path}
+    with subprocess.Popen([sys.executable, tmp_path / "master.py"], env=environment, **pipes) as master:
+        assert select.select([master.stdout], [], [], 60.0)[0] and master.stdout.read() == b""
+        assert master.wait() == -signal.SIGKILL
 
 
 IDLE = """
