@@ -8,7 +8,7 @@ import pytest
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, finger_path
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
-from slipmap.models.geometry import turn
+from slipmap.models.geometry import placed, turn
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Push, Slider
@@ -51,6 +51,29 @@ def test_ten_centimetres_are_those_of_the_cell_grid_model(exact: PlantWorld, num
     assert np.hypot(*(expected[-1] - POSE)[:2]) > 0.02
     assert np.linalg.norm(off[:, :2], axis=1).max() < 1e-3
     assert np.abs(off[:, 2]).max() < np.radians(0.5)
+
+
+@pytest.mark.parametrize(
+    ("pose", "begin", "end", "speed"),
+    [
+        ((0.0, 0.0, -1.16683), (-0.04368, 0.03245), (0.13450, 0.05677), 0.059),
+        ((-0.21647, -0.02134, 0.97127), (-0.20682, -0.07450), (-0.44367, 0.09922), 0.085),
+    ],
+)
+def test_a_push_near_balance_does_not_rock_the_object(pose, begin, end, speed) -> None:
+    """Rocked by a contact that jumps up and down a long finger, it goes 30 and 60 mm elsewhere."""
+    world = PlantWorld(benchmark_object("wrench"), noise=EXACT)
+    world.reset(np.array(pose), np.random.default_rng(0))
+    asked = TablePush(np.array(begin), np.array(end), speed)
+    trial = world.push(asked)
+    thing = world.true_object
+    push = Push(2e-3, finger_path(asked, 2e-3), np.array(pose))
+    slider = Slider(thing.grid, world.finger_radius, table=world.table)
+    expected = slider.rollout(thing.maps, [push]).end[0, 0, :3]
+    off = placed(thing.grid.centers, trial.object_pose.values[-1]) - placed(thing.grid.centers, expected)
+    assert np.hypot(*(expected - pose)[:2]) > 0.1
+    print(np.hypot(*off.T).mean())
+    assert np.hypot(*off.T).mean() < 3e-3
 
 
 def test_force_is_that_of_the_finger_on_the_object(exact: PlantWorld) -> None:
