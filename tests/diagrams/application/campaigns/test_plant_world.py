@@ -64,8 +64,8 @@ def test_ten_centimetres_are_those_of_the_cell_grid_model(exact: PlantWorld, num
     ids=["balance", "balance, long", "rim, leaning", "rim, blocks"],
 )
 def test_pushes_near_balance_and_over_the_rim_are_those_of_the_model(name, pose, begin, end, speed) -> None:
-    """Near balance a contact that jumps up and down a long finger sends the object 30 and 60 mm elsewhere; over
-    the rim, feet that sink by 20 µm let its blocks down on the table, and it ends 20 to 30 mm off."""
+    """Near balance, a contact that jumps up and down a long finger sends the object 30 and 60 mm elsewhere.
+    Over the rim, feet that sink by 20 µm let its blocks down on the table, and it ends 15 and 30 mm off."""
     world = PlantWorld(benchmark_object(name), noise=EXACT)
     world.reset(np.array(pose), np.random.default_rng(0))
     asked = TablePush(np.array(begin), np.array(end), speed)
