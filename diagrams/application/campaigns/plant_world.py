@@ -25,10 +25,12 @@ from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_tabl
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
+from slipmap.models.robots import FINGER_RADIUS
 
 TIME_STEP = 2e-3  # s
+_FEET = sliding_object.STIFF
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
+_FINGER_EDGE = 1e-3  # m; height of the part of the finger that touches
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two checks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
@@ -64,7 +66,7 @@ class PlantWorld(DirectWorld):
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
-        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
+        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, feet=_FEET)
         self._finger = _add_finger(plant)
         plant.Finalize()
         if hidden is not None:
@@ -92,7 +94,7 @@ class PlantWorld(DirectWorld):
         diagram = self._simulator.get_system()
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
-        self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose))
+        self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose, _FEET.sink))
         self._take_finger_away()
 
     def _drive(self, tip: FloatArray) -> Motion:
@@ -154,7 +156,12 @@ class PlantWorld(DirectWorld):
 
 
 def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
-    """Add an upright round finger on two prismatic joints with a drive too stiff to yield."""
+    """Add an upright round finger on two prismatic joints with a drive too stiff to yield.
+
+    Only its lowest millimetre touches. Along a side as upright as a long finger, the one point of contact
+    that Drake finds jumps up and down from step to step and rocks the object, whose friction `lagged` contact
+    computes from the loads of the step before.
+    """
     instance = plant.AddModelInstance("finger")
     inertia = tree.SpatialInertia.SolidSphereWithMass(1.0, 0.02)
     carriage = plant.AddRigidBody("carriage", instance, inertia)
@@ -168,8 +175,8 @@ def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
     contact = ProximityProperties()
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
-    X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + FINGER_LENGTH / 2]))
-    plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, FINGER_LENGTH), "finger", contact)
+    X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + _FINGER_EDGE / 2]))
+    plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, _FINGER_EDGE), "finger", contact)
     return instance
 
 

@@ -102,3 +102,13 @@ def test_a_share_of_the_travel_is_found_and_a_push_far_off_does_not_hide_it() ->
     errors[0] = 1.0
     wilder = end_errors(known(errors, 1e-8, travel), SensorNoise(1e-4, 1e-4, 0.0, True))
     assert wilder[0] == pytest.approx(told[0], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("error", "variance"), [(np.nan, 1e-8), (np.inf, 1e-8), (1e-3, np.inf), (1e-3, np.nan)]
+)
+def test_of_pushes_that_a_fit_says_nothing_of_any_error_is_expected(error: float, variance: float) -> None:
+    errors = np.full((6, 3), 1e-3)
+    errors[2, 0] = error
+    told = end_errors(known(errors, variance, np.full(6, 0.1)), SensorNoise(1e-4, 1e-4, 0.0, True))
+    assert told[0] == 1.0
