@@ -37,7 +37,7 @@ from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
-from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 
@@ -59,6 +59,7 @@ class RecordedRun:
     places: tuple[list[float] | None, ...]
     grid: CellGrid  # the object as the camera detected it
     first: FirstPicture  # the picture in which it did so
+    rests: tuple[FloatArray, ...]  # offsets of the outline seen at the places where it rested, see `Rests`
     watch: Watch | None = None  # state of the monitor
     repair: Repair | None = None  # how the model was repaired, if the run adapts
 
@@ -270,7 +271,7 @@ def add_exploration(
 
     trials = () if before is None else before.trials
     patience = patience_for(scenario, worker)
-    known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
+    known = None if before is None else (before.first, trials[-1].object_pose.values[-1], before.rests)
     step = hypothesis_step(scenario.simulation.time_step)
     make_dataset = partial(recorded_dataset, scenario=scenario)
     repair = Repair(len(trials), tuple(options.effects))
@@ -285,7 +286,10 @@ def add_exploration(
         guard=None if cell is None else add("guard", CommandGuard(model, scenario.guard)),
         perception=add(
             "perception",
-            CellPerception(scenario.camera, options.cells, station.arm_hulls, worker, known),
+            # After the last push to learn from, the outline stays, so that pushes to judge teach nothing.
+            CellPerception(
+                scenario.camera, options.cells, station.arm_hulls, worker, known, options.teaching + 1
+            ),
         ),
         supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks, len(trials), patience)),
         exploration=add(

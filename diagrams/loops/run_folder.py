@@ -232,7 +232,7 @@ class Recording:
         self._choices = () if before is None else before.choices
         self._places = () if before is None else before.places
         self._noted = 0
-        self._found: tuple[Any, ...] | None = None  # judged pushes and repair, as last kept
+        self._found: tuple[Any, ...] | None = None  # judged pushes, repair and grid, as last kept
 
     def look(self, root: Context) -> None:
         """Write whatever is new; call it often. Raises BadInput like `RunFolder.keep`."""
@@ -240,7 +240,8 @@ class Recording:
         watch = output_of(self._loop, "model_monitor", "watch", root)
         adapts = self._loop.HasSubsystemNamed("diagnosis")
         repair = output_of(self._loop, "diagnosis", "repair", root) if adapts else None
-        found = (watch.judged, repair)
+        grid = output_of(self._loop, "perception", "cell_grid", root)
+        found = (watch.judged, repair, grid)
         if len(trials) > len(self._choices):
             plan = output_of(self._loop, "exploration", "plan", root)
             self._choices = (*self._choices, plan.choice)
@@ -248,10 +249,12 @@ class Recording:
             self._found = None
             self._noted = 0
         if trials and found != self._found:
-            grid = output_of(self._loop, "perception", "cell_grid", root)
-            first = output_of(self._loop, "perception", "first_picture", root)
             self._found = found
-            self._record.keep(RecordedRun(trials, self._choices, self._places, grid, first, watch, repair))
+            first = output_of(self._loop, "perception", "first_picture", root)
+            rests = output_of(self._loop, "perception", "rests", root)
+            self._record.keep(
+                RecordedRun(trials, self._choices, self._places, grid, first, rests.offsets, watch, repair)
+            )
             return
         rows = output_of(self._loop, "logger", "under_way", root)
         measured = len(rows["tip_pose"])
@@ -275,8 +278,8 @@ class ExplorationFolder(RunFolder):
     """The folder of `slipmap explore`, kept up to date with the run.
 
     In addition to the pushes it holds what another process needs to continue: the scenario, the options, the
-    picture from which the object was divided into cells, and the choice behind each push. `run.json`
-    identifies the files by digests, so that files of two runs are never mixed.
+    picture from which the object was divided into cells, what was seen of its outline since, and the choice
+    behind each push. `run.json` identifies the files by digests, so that files of two runs are never mixed.
 
     Args:
         before: content of the folder, if its run is continued.
@@ -314,6 +317,10 @@ class ExplorationFolder(RunFolder):
             for digest, choice, place in zip(
                 _digests_of(recorded.trials), recorded.choices, recorded.places, strict=True
             )
+        ]
+        # In whole micrometres, None where a point was never seen.
+        self._run["rests"] = [
+            [None if np.isnan(offset) else round(1e6 * offset) for offset in rest] for rest in recorded.rests
         ]
         if recorded.watch is not None:
             self._run["watch"] = recorded.watch.to_run()
@@ -374,7 +381,8 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         stored = run["options"]
         options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
-        grid = first.seen(scenario.camera.intrinsics).grid
+        rests = tuple(1e-6 * np.array(rest, dtype=float) for rest in run["rests"])
+        grid = first.grid(scenario.camera.intrinsics, rests)
         dataset = read_dataset(folder / PUSHES, keep_all=True)
         pushes = run["pushes"][: len(dataset.trials)]
         choices = tuple(_choice_of(push["poke"]) for push in pushes)
@@ -395,7 +403,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         )
     if places[-1] is not None:
         scenario.object.pose = places[-1]
-    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first, watch, repair)
+    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first, rests, watch, repair)
 
 
 def _refuse_cut_off(folder: Path) -> None:

@@ -4,6 +4,7 @@ A thread or a worker processes the pictures while the world moves on.
 """
 
 import gc
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -25,10 +26,17 @@ from slipmap.models.perception.first_look import (
     object_center,
 )
 from slipmap.models.perception.object_mask import Hull, Mask, PictureHistory, draw_hulls, readings
-from slipmap.models.perception.pinhole_camera import DepthImage, NoTable, PinholeCamera, View
-from slipmap.models.perception.pose_tracking import load_kernels, track
-from slipmap.models.perception.seen_object import ObservedPose, Reason, SeenObject
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.perception.pinhole_camera import DepthImage, NoTable, PinholeCamera, View, pixel_size
+from slipmap.models.perception.pose_tracking import load_kernels, outline_offsets, track
+from slipmap.models.perception.seen_object import (
+    ObservedPose,
+    Reason,
+    Rests,
+    SeenObject,
+    mean_offsets,
+    sharpened,
+)
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 FRAMES = 15  # pictures of the object at rest in the first look; an odd number keeps its edges sharp
 _KNOWN_AFTER = 0.5  # of the time between two pictures, allowed for processing one
@@ -53,6 +61,8 @@ class _Memory:
     first: FirstPicture | None = None
     last_pose: FloatArray | None = None
     doubtful: bool = False
+    rests: Rests | None = None  # where the object rested
+    grid: CellGrid | None = None  # its cells, with the outline as seen at these places
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +78,16 @@ class _Glance:
 
 @dataclass(frozen=True)
 class _Eye:
-    """Processing of pictures; `oldest` (s) is the largest age of the newest picture."""
+    """Processing of pictures.
+
+    `oldest` (s) is the largest age of the newest picture, `places` the number of places where the object
+    rested from which its outline is made.
+    """
 
     camera: PinholeCamera
     cells: int
     oldest: float
+    places: int
 
     def looked(self, memory: _Memory, glance: _Glance) -> _Memory:
         """The state after another look."""
@@ -104,7 +119,19 @@ class _Eye:
         last = observed.pose
         if doubtful:
             observed = ObservedPose.unseen("torn picture", time)
-        return replace(memory, observed=observed, last_pose=last, doubtful=doubtful)
+        memory = replace(memory, observed=observed, last_pose=last, doubtful=doubtful)
+        return self._outlined(memory, image, view, blocked) if observed.valid else memory
+
+    def _outlined(self, memory: _Memory, image: DepthImage, view: View, blocked: Mask | None) -> _Memory:
+        """With the outline as seen in a picture of the object at its last pose, if it adds to the outline."""
+        seen, rests, pose = memory.seen, memory.rests, memory.last_pose
+        assert seen is not None and rests is not None and pose is not None
+        if len(rests.offsets) >= self.places or not rests.wants(pose):
+            return memory
+        after = rests.with_look(pose, outline_offsets(image, view, seen, pose, blocked))
+        if len(after.offsets) == len(rests.offsets):
+            return replace(memory, rests=after)
+        return replace(memory, rests=after, grid=sharpened(seen, after.offsets, pixel_size(view)))
 
     def looked_in_thread(self, memory: _Memory, glance: _Glance) -> _Memory:
         """Like `looked`, with Python's garbage collector disabled.
@@ -149,7 +176,11 @@ class _Eye:
         first = FirstPicture(
             median_depth(frames), view.X_WC, hidden, self.cells, history.noisy, history.missing
         )
-        return _Memory(observed, history, seen=seen, first=first, last_pose=seen.first_pose)
+        looks = [outline_offsets(frame, view, seen, seen.first_pose, blocked) for frame in frames]
+        rests = Rests((mean_offsets(looks),), seen.first_pose)
+        return _Memory(
+            observed, history, seen=seen, first=first, last_pose=seen.first_pose, rests=rests, grid=seen.grid
+        )
 
 
 class CellPerception(PythonSystem):
@@ -159,13 +190,16 @@ class CellPerception(PythonSystem):
     angles used to mask the arm in the picture; `image_age` (optional), (1,) time since the picture was taken,
     s, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid`, or None until the first
     look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture`
-    that it is derived from, or None.
+    that it is derived from, or None; `rests`, a `Rests`, or None.
 
     The inputs are read at the camera's rate. The result appears half a period later, with the time at which
     it was seen. The first look takes `FRAMES` pictures during which the object does not move; it continues
     until it has them, with the arm away from the object. It defines the object frame: origin at the centroid
     of the footprint's area, axes parallel to the world's. Until then the pose is invalid, with the reason "no
     object" or "occluded".
+
+    At each new place where the object rests, its outline is seen again, and that of `cell_grid` becomes more
+    exact; the cells stay, and so does `seen_object`, to which poses are fitted.
 
     A picture seen before, as shown by its age or because all of its rows are repeated, gives no new
     information; after three missing pictures the pose becomes invalid. It is also invalid if the picture is
@@ -179,8 +213,9 @@ class CellPerception(PythonSystem):
             never in the picture.
         worker: processes the pictures and skips those that come meanwhile. If None, a thread of this process,
             for which the simulation waits if it is not done in time.
-        known: the first picture of an earlier process and the (3,) pose at which it last saw the object; with
-            them there is no first look.
+        known: the first picture of an earlier process, the (3,) pose at which it last saw the object, and the
+            offsets of the outline, as in `Rests`; with them there is no first look.
+        places: number of places where the object rests from which its outline is made.
 
     Raises:
         ValueError: a number of cells below 1.
@@ -189,7 +224,7 @@ class CellPerception(PythonSystem):
         >>> import slipmap
         >>> perception = slipmap.CellPerception(slipmap.Scenario().camera)
         >>> [perception.get_output_port(i).get_name() for i in range(perception.num_output_ports())]
-        ['object_pose', 'cell_grid', 'seen_object', 'first_picture']
+        ['object_pose', 'cell_grid', 'seen_object', 'first_picture', 'rests']
     """
 
     def __init__(
@@ -198,14 +233,15 @@ class CellPerception(PythonSystem):
         cells: int = 60,
         arm_hulls: Callable[[FloatArray], Sequence[Hull]] | None = None,
         worker: Executor | None = None,
-        known: tuple[FirstPicture, FloatArray] | None = None,
+        known: tuple[FirstPicture, FloatArray, Sequence[FloatArray]] | None = None,
+        places: int = sys.maxsize,
     ) -> None:
         super().__init__()
         if cells < 1:
             raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
         load_kernels()
         config = camera or CameraConfig()
-        self._eye = _Eye(config.intrinsics, cells, OLD / config.rate)
+        self._eye = _Eye(config.intrinsics, cells, OLD / config.rate, places)
         self._waits = worker is None
         self._worker = worker or ThreadPoolExecutor(1, "pictures")
         self._arm_hulls = arm_hulls
@@ -215,18 +251,20 @@ class CellPerception(PythonSystem):
         self._age = self.DeclareVectorInputPort("image_age", 1)
         start = _Memory(ObservedPose.unseen("no object", detail="too few pictures came for the first look"))
         if known is not None:
-            first, last_pose = known
+            first, last_pose, offsets = known
             history = PictureHistory(noisy=first.noisy, missing=first.missing)
             seen = first.seen(self._eye.camera)
-            start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
+            start = replace(
+                start, history=history, seen=seen, first=first, last_pose=last_pose,
+                rests=Rests(tuple(offsets), last_pose), grid=first.grid(self._eye.camera, offsets),
+            )  # fmt: skip
         self._memory = memory = self.DeclareAbstractState(held(start))
         self._job = self.DeclareAbstractState(held(_NO_JOB))
         self.declare_output_of("object_pose", memory, lambda memory: memory.observed)
-        self.declare_output_of(
-            "cell_grid", memory, lambda memory: None if memory.seen is None else memory.seen.grid
-        )
+        self.declare_output_of("cell_grid", memory, lambda memory: memory.grid)
         self.declare_output_of("seen_object", memory, lambda memory: memory.seen)
         self.declare_output_of("first_picture", memory, lambda memory: memory.first)
+        self.declare_output_of("rests", memory, lambda memory: memory.rests)
         period = 1.0 / config.rate
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, _KNOWN_AFTER * period, self._take)

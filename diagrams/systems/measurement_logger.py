@@ -279,7 +279,7 @@ def dataset_of(
     Raises:
         DatasetError: there is no trial.
     """
-    digest = hashlib.sha256(grid.centers.tobytes())
+    digest = hashlib.sha256(grid.centers.tobytes() + grid.edges.tobytes())
     for trial in trials:
         for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
             if channel is not None:

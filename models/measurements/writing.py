@@ -15,6 +15,7 @@ from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
 from slipmap.models.measurements.setup_description import setup_document
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -162,6 +163,7 @@ class PushRecorder:
         self._folder = Path(folder).resolve()
         self._replaces = kept == 0 and is_replaced(self._folder, overwrite=True)
         self._kept = kept
+        self._grid: CellGrid | None = None  # as described in the folder
 
     def clear(self) -> None:
         """Remove the pushes of an earlier run, in one step, before anything else tells of this recording.
@@ -176,7 +178,7 @@ class PushRecorder:
             self._replaces = False
 
     def keep(self, dataset: PushDataset) -> None:
-        """Write the trials that are not yet in the folder.
+        """Write the trials that are not yet in the folder, and the description if the object has changed.
 
         Args:
             dataset: with all trials so far, named trials/000.json and so on.
@@ -190,10 +192,10 @@ class PushRecorder:
         for number in range(self._kept, len(dataset.trials)):
             trial = dataset.trials[number]
             self._write(self._folder / trial.name, trial_text(trial))
-            whole = replace(dataset, trials=dataset.trials[: number + 1])
-            text = _description_text(whole, [trial.name for trial in whole.trials])
-            self._write(self._folder / DESCRIPTION_FILE, text)
+            self._describe(replace(dataset, trials=dataset.trials[: number + 1]))
             self._kept = number + 1
+        if dataset.grid is not self._grid:
+            self._describe(dataset)
 
     def _begin(self, first: PushDataset) -> None:
         """Create the folder with the first trial in one step, replacing that of an earlier run."""
@@ -202,7 +204,12 @@ class PushRecorder:
         path = self._folder / first.trials[0].name
         with _naming(path), replaced_folder(self._folder) as fresh:
             _write_files(first, fresh)
-        self._kept = 1
+        self._kept, self._grid = 1, first.grid
+
+    def _describe(self, dataset: PushDataset) -> None:
+        text = _description_text(dataset, [trial.name for trial in dataset.trials])
+        self._write(self._folder / DESCRIPTION_FILE, text)
+        self._grid = dataset.grid
 
     def _write(self, path: Path, text: str) -> None:
         # Beside the folder, not in it: leftovers of a killed process would not belong to the dataset.

@@ -36,7 +36,15 @@ from slipmap.models.perception.pinhole_camera import (
     pixel_size,
 )
 from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
-from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
+from slipmap.models.perception.seen_object import (
+    Outline,
+    Reason,
+    Relief,
+    SeenObject,
+    footprint,
+    outline_of,
+    sharpened,
+)
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _OUTLINE_POINTS = 300
@@ -206,6 +214,10 @@ class FirstPicture:
     def seen(self, camera: PinholeCamera) -> SeenObject:
         """Repeat the first look. Raises NoTable, ObjectNotSeen, ValueError as `first_look` does."""
         return first_look([self.depth], View(camera, self.X_WC), self.cells, self.blocked)
+
+    def grid(self, camera: PinholeCamera, offsets: Sequence[FloatArray]) -> CellGrid:
+        """The object's cells after it has rested at more places, see `sharpened`. Raises like `seen`."""
+        return sharpened(self.seen(camera), offsets, pixel_size(View(camera, self.X_WC)))
 
     def save(self, file: IO[bytes]) -> None:
         """Write the picture, compressed, to a binary file."""

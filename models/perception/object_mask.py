@@ -59,14 +59,15 @@ class HeightPicture(NamedTuple):
         return read.astype(float).reshape(pixels.shape[:-1])
 
 
-def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
+def smoothed_heights(heights: Heights, blocked: Mask | None = None, highest: float = np.inf) -> Heights:
     """Heights (h, w) over the table, m, averaged with their neighbours, without pixels that the arm blocks.
 
-    NaN means no reading; small gaps are filled, larger ones stay.
+    NaN means no reading; small gaps are filled, larger ones stay. Objects higher than `highest`, m, count as
+    that high.
     """
     seen = (heights < _HIGHEST) if blocked is None else (heights < _HIGHEST) & ~blocked
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), SMOOTHING)
-    values = np.where(seen, np.maximum(heights, np.float32(_LOWEST)), np.float32(0))
+    values = np.where(seen, np.clip(heights, np.float32(_LOWEST), np.float32(highest)), np.float32(0))
     mean = cv2.GaussianBlur(values, (0, 0), SMOOTHING) / np.maximum(weight, np.float32(_LEAST_WEIGHT))
     mean[weight < _LEAST_WEIGHT] = np.nan
     if blocked is not None:

@@ -36,6 +36,7 @@ _CORRELATED = 4.0
 
 _NEAR_REACHES = (8.0, 5.0, *(3.0,) * 8)  # pixels
 _FAR_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, *(3.0,) * 8)
+_OFFSET = 3.0  # pixels; the outline is sought so far from where it was taken to be
 _MARGIN = 28  # pixels around the object that are searched when it has hardly moved
 # First places to try if it is not there: as far as it may have moved between two pictures.
 _BESIDE = np.stack(
@@ -143,6 +144,25 @@ def track(
         else "the object's pose is uncertain: too little of it is seen, or pixels are too coarse for it"
     )
     return ObservedPose.unseen("no object", time, detail)
+
+
+def outline_offsets(
+    depth: DepthImage, view: View, seen: SeenObject, pose: FloatArray, blocked: Mask | None = None
+) -> FloatArray:
+    """(m,) distances outwards at which a picture shows the points of `SeenObject.foot`, m; NaN if hidden.
+
+    Args:
+        depth, blocked: (H, W), as for `track`.
+        pose: (3,) of O in W.
+    """
+    shape, low, _ = seen.foot
+    picture = _Search(view.checked_depth(depth), view, seen, blocked).around(pose, _MARGIN, low)
+    if picture is None:
+        return np.full(len(shape.points), np.nan)
+    lines = edge_kernels.lines_across(view.lens, shape, pose)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    outward = shape.normals @ np.array([[c, s], [-s, c]])
+    return edge_kernels.edges_found(picture, shape, lines, _OFFSET) / np.sum(lines[:, 4:6] * outward, axis=1)
 
 
 class EdgeFit(NamedTuple):
@@ -266,12 +286,12 @@ class _Search(NamedTuple):
 
     def near(self, previous: FloatArray) -> _Candidate | None:
         """The best pose near the previous one, or None if it lies outside the picture."""
-        picture = self._around(previous, _MARGIN)
+        picture = self.around(previous, _MARGIN)
         return None if picture is None else self._fitted(picture, previous, _NEAR_REACHES)
 
     def beside(self, previous: FloatArray) -> _Candidate | None:
         """The best pose from starts around the previous one; a fast object may be far from it."""
-        picture = self._around(previous, _MARGIN_BESIDE)
+        picture = self.around(previous, _MARGIN_BESIDE)
         if picture is None:
             return None
         starts = previous + (_BESIDE if self.seen.angle_seen else _BESIDE[_BESIDE[:, 2] == 0])
@@ -336,8 +356,11 @@ class _Search(NamedTuple):
         """(m, 2) pixel coordinates of points (m, 2) of the object at a pose."""
         return self.view.project(self.seen.table.lift(placed(points, pose), heights))[0]
 
-    def _around(self, pose: FloatArray, margin: int) -> HeightPicture | None:
-        """The part of the picture around the object at a pose, with a margin in pixels; None if outside."""
+    def around(self, pose: FloatArray, margin: int, highest: float = np.inf) -> HeightPicture | None:
+        """The part of the picture around the object at a pose, with a margin in pixels; None if outside.
+
+        Higher readings than `highest` count as that high, m.
+        """
         outline = self.seen.outline
         pixels = np.concatenate(
             [self._pixels(outline.points, height, pose) for height in (0.0, float(outline.heights.max()))]
@@ -351,7 +374,7 @@ class _Search(NamedTuple):
         rows, columns = slice(first[1], last[1]), slice(first[0], last[0])
         heights = self.seen.table.heights(self.image, self.view, rows, columns)
         part = None if self.blocked is None else self.blocked[rows, columns]
-        return HeightPicture(smoothed_heights(heights, part), *map(float, first))
+        return HeightPicture(smoothed_heights(heights, part, highest), *map(float, first))
 
     def _fitted(self, picture: HeightPicture, start: FloatArray, reaches: Sequence[float]) -> _Candidate:
         fit = fit_edges(picture, self.view, self.seen, start, reaches)

@@ -9,11 +9,16 @@ lines replace the points found this way. Two distortions of edges in a picture a
 - An edge with a rounded top seems to lie too far inside, where half the height is reached. Such an edge shows
   in a fall that is wider than blur and the visible flank make it: the fall over a quarter circle of radius r
   has its mean 0.215 r inside the foot, and a standard deviation of 0.223 r.
+
+One picture samples an edge at its pixels alone, so its lines are off by a quarter of a pixel. At each place
+where the object rests, they sample it anew. `sharpened` averages the offsets of the outline seen at all of
+these places. They are measured where the object starts to rise from the table, which no rounded top moves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -27,7 +32,7 @@ from shapely.geometry import LinearRing, Polygon
 
 from slipmap.models.geometry import cross
 from slipmap.models.measurements.push_dataset import Trial
-from slipmap.models.objects.footprints import without_small_holes
+from slipmap.models.objects.footprints import rings_of, without_small_holes
 from slipmap.models.objects.images import border_middles, straightened, traced_outline
 from slipmap.models.perception.edge_kernels import SPACING, Land, Shape
 from slipmap.models.perception.object_mask import Fault, HeightPicture, Heights, Mask
@@ -58,6 +63,17 @@ _STRAIGHT = 0.15  # pixels; corners that deviate less from the outline are dropp
 _NEIGHBOURS = 4  # readings whose median is a height
 _FOR_PLANE = 12  # readings to which a plane is fitted at the rim
 _WALL, _STEEP = 2.0, 6.0  # a reading lower than a neighbour by more (pixels, slope) is not on the top
+_FOOT_POINTS = 300
+# The outline is seen in heights cut off at half the height of its lowest edges, within these limits, m.
+_LOW, _LOWEST_EDGES = (5e-3, 12e-3), 10.0  # percentile
+# A top that is rounded towards its rim falls with the root of the distance to it. A line fitted to heights so
+# far inside (m), over that root, gives the rim's: the median over so many points, at least a share of the
+# edge's height.
+_BESIDE_RIM, _RIM_POINTS, _LEAST_RIM = np.array([2e-3, 3e-3, 4e-3, 5e-3]), 31, 0.4
+_FINER = 0.3  # pixels; the half width of the strip for points averaged over several places
+_LOOKS = 6  # pictures of the object at rest whose offsets are averaged; at least as many as start a trial
+_ELSEWHERE = np.array([2e-3, 2e-3, np.deg2rad(1.0)])  # m, m, rad; a place farther from the last is another
+_SEEN_WELL = 0.9  # of the points seen at the first look
 UNSEEN_ANGLE = 1.0  # standard deviation of the angle of an object whose angle cannot be seen, rad
 Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
@@ -201,6 +217,89 @@ class SeenObject:
             self.inner_points, self.inner_heights, self.inner_slopes,
         )  # fmt: skip
         return Shape(self.relief.land(self.table), *(np.array(part, float, order="C") for part in parts))
+
+    @cached_property
+    def foot(self) -> Foot:
+        """The outline's points as `sharpened` moves them."""
+        polygon = self.grid.polygon
+        low = float(np.clip(np.percentile(self.outline.heights, _LOWEST_EDGES) / 2, *_LOW))
+        nearest, rings = cKDTree(self.outline.points), []
+        at_rim = np.linalg.pinv(np.column_stack([np.ones(len(_BESIDE_RIM)), np.sqrt(_BESIDE_RIM)]))[0]
+        for k, ring in enumerate((polygon.exterior, *polygon.interiors)):
+            points, normals = _points_along(ring, outer=k == 0, spacing=polygon.length / _FOOT_POINTS)
+            beside = [_along_ring(self.relief.at(points - d * normals)[:, None]) for d in _BESIDE_RIM]
+            least = _LEAST_RIM * self.outline.heights[nearest.query(points)[1]]
+            rims = np.clip(at_rim @ beside, np.minimum(least, beside[0]), beside[0])
+            rims = median_filter(rims, min(_RIM_POINTS, len(rims)), mode="wrap")
+            rings.append((points, normals, np.full(len(points), low), rims))
+        points, normals, edges, rims = (np.concatenate(part) for part in zip(*rings, strict=True))
+        shape = self.shape._replace(points=points, normals=normals, edges=edges, rims=rims)
+        return Foot(shape, low, tuple(len(ring[0]) for ring in rings))
+
+
+class Foot(NamedTuple):
+    """The outline where the object meets the table."""
+
+    shape: Shape  # with its points, normals, heights of the lowest part of the edge, and of the rim
+    low: float  # height above which that part is cut off, m
+    sizes: tuple[int, ...]  # number of points on each ring, the exterior first
+
+
+@dataclass(frozen=True, eq=False)
+class Rests:
+    """Offsets of the outline seen at the places where the object rested.
+
+    Offsets (m,) are those of the points of `SeenObject.foot` along their normals, m, NaN where nothing is
+    seen, rounded to whole micrometres, as they are kept in files.
+    """
+
+    offsets: tuple[FloatArray, ...]  # at each place, averaged over its looks
+    place: FloatArray  # (3,) pose of O in W at the last place
+    looks: tuple[FloatArray, ...] = ()  # offsets so far at that place, empty once they are averaged
+    complete: bool = True  # whether they are
+
+    def wants(self, pose: FloatArray) -> bool:
+        """Whether another look at an object at a pose (3,) counts."""
+        return not self.complete or bool((np.abs(pose - self.place) > _ELSEWHERE).any())
+
+    def with_look(self, pose: FloatArray, offsets: FloatArray) -> Rests:
+        """With another look at the object, at a pose (3,); one from which much is hidden does not count."""
+        if (np.abs(pose - self.place) > _ELSEWHERE).any():
+            return replace(self, place=pose, looks=(), complete=False).with_look(pose, offsets)
+        if np.isfinite(offsets).sum() < _SEEN_WELL * np.isfinite(self.offsets[0]).sum():
+            return self
+        looks = (*self.looks, offsets)
+        if len(looks) < _LOOKS:
+            return replace(self, looks=looks)
+        return Rests((*self.offsets, mean_offsets(looks)), self.place)
+
+
+def mean_offsets(looks: Sequence[FloatArray]) -> FloatArray:
+    """(m,) mean of offsets (m,), without those that are NaN, m; rounded to whole micrometres."""
+    seen = np.isfinite(looks)
+    total = np.where(seen, looks, 0.0).sum(axis=0)
+    count = seen.sum(axis=0)
+    return np.where(count > 0, np.round(1e6 * total / np.maximum(count, 1)) * 1e-6, np.nan)
+
+
+def sharpened(seen: SeenObject, offsets: Sequence[FloatArray], pixel: float) -> CellGrid:
+    """The object's cells with an outline improved by all places where the object rested.
+
+    Args:
+        offsets: (m,) at each place, as in `Rests`; a single one improves nothing.
+        pixel: side of a pixel on the table, m.
+    """
+    if len(offsets) < 2:
+        return seen.grid
+    foot = seen.foot
+    shift = np.clip(np.nan_to_num(mean_offsets(offsets)), -_FARTHEST * pixel, _FARTHEST * pixel)
+    points = (foot.shape.points + shift[:, None] * foot.shape.normals) / pixel
+    # Next to corners, points may have passed each other.
+    rings = [_simple(Polygon(ring)).exterior for ring in np.split(points, np.cumsum(foot.sizes)[:-1])]
+    lines = [_cornered(np.array(ring.coords)[:-1], _FINER) for ring in rings]
+    polygon = _simple(_simple(Polygon(lines[0], lines[1:])).simplify(_STRAIGHT))
+    exterior, holes = rings_of(shapely.transform(polygon, lambda corners: corners * pixel))
+    return replace(seen.grid, exterior=exterior, holes=holes)
 
 
 class Ring(NamedTuple):
@@ -384,12 +483,15 @@ def _roundness(
     return median_filter(excess, size=min(_ALONG, len(points)), mode="wrap")
 
 
-def _cornered(points: FloatArray) -> LinearRing:
-    """The ring of straight lines fitted to points (m, 2), with the corners restored that blur has cut."""
+def _cornered(points: FloatArray, strip: float = _STRIP) -> LinearRing:
+    """The ring of straight lines fitted to points (m, 2), with the corners restored that blur has cut.
+
+    `strip` is the half width of the strip in which points count as a straight line, pixels.
+    """
     polygon = Polygon(points)
     if not polygon.is_valid:
         return polygon.exterior
-    kept = polygon.simplify(_STRIP)
+    kept = polygon.simplify(strip)
     assert isinstance(kept, Polygon)
     corners = list(straightened(points, kept.exterior))
     passed = cKDTree(points)

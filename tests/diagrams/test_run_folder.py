@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -69,8 +70,11 @@ def whole() -> RecordedRun:
         push = TablePush([-0.2, 0.0], [-0.1, 0.001 * number], 0.05, creep=0.01)
         choices.append(Choice(push, np.array([-0.1, 0.01 * number]), np.array([1.0, 0.0])))
     places = tuple([0.01 * number, 0.0, 5.7] for number in range(4))
-    grid = first.seen(camera.intrinsics).grid
-    return RecordedRun(tuple(trials), tuple(choices), places, grid, first)
+    points = len(first.seen(camera.intrinsics).foot.shape.points)
+    rests = tuple(1e-6 * np.round(shift + np.arange(points) % 7) for shift in (20.0, 230.0))
+    rests[1][:3] = np.nan
+    grid = first.grid(camera.intrinsics, rests)
+    return RecordedRun(tuple(trials), tuple(choices), places, grid, first, rests)
 
 
 def part(whole: RecordedRun, count: int) -> RecordedRun:
@@ -99,6 +103,9 @@ def test_another_process_finds_all_that_it_needs(whole, tmp_path):
     assert cell == scenario()
     assert before.places == whole.places[:2]
     assert np.array_equal(before.grid.centers, whole.grid.centers)
+    assert np.array_equal(before.grid.exterior, whole.grid.exterior)
+    assert np.array_equal(read_dataset(tmp_path / "pushes").grid.exterior, whole.grid.exterior)
+    assert all(map(partial(np.array_equal, equal_nan=True), before.rests, whole.rests))
     assert np.array_equal(before.first.depth, whole.first.depth)
     assert (before.first.noisy, before.first.missing) == (True, 0.01)
     for ours, theirs in zip(before.choices, whole.choices, strict=False):

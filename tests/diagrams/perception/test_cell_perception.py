@@ -46,6 +46,31 @@ def test_from_an_empty_table_to_a_pose_and_back(world):
     assert world.output(context, "object_pose").reason == "left the table"
 
 
+def test_each_new_place_improves_the_outline_and_nothing_else(world):
+    context = world.context()
+    world.place(context, "hammer", (0.05, -0.02, 0.6))
+    simulator = world.simulator(context)
+    simulator.AdvanceTo((FRAMES + 10.75) * PERIOD)
+    seen, grid = (world.output(context, name) for name in ("seen_object", "cell_grid"))
+    assert grid is seen.grid  # the same place again does not count
+    for place, pictures in (((0.09, 0.0, 0.65), 15.75), ((0.06, 0.02, 0.4), 30.75)):
+        world.place(context, "hammer", place)
+        simulator.AdvanceTo((FRAMES + pictures) * PERIOD)
+        assert world.output(context, "cell_grid") is grid  # five pictures so far
+        simulator.AdvanceTo((FRAMES + pictures + 10) * PERIOD)
+        before, grid = grid, world.output(context, "cell_grid")
+        assert grid is not before
+        assert np.array_equal(grid.centers, seen.grid.centers)
+        moved = grid.polygon.symmetric_difference(before.polygon).area / grid.polygon.length
+        assert 0.05e-3 < moved < 0.6e-3
+    assert world.output(context, "seen_object") is seen
+    rests = world.output(context, "rests").offsets
+    assert len(rests) == 3
+    first = world.output(context, "first_picture")
+    again = first.grid(world.config.intrinsics, rests)  # as another process finds it
+    assert np.array_equal(again.exterior, grid.exterior)
+
+
 def test_a_pose_is_known_half_a_picture_after_the_picture(world):
     context = world.context()
     world.place(context, "hammer", (0.05, -0.02, 0.6))

@@ -74,6 +74,15 @@ def test_after_each_push_the_folder_opens(tmp_path):
     same(read_dataset(tmp_path / "pushes"), growing(4))
 
 
+def test_an_outline_that_becomes_more_exact_is_described_anew(tmp_path):
+    recorder = record(tmp_path / "pushes", 2)
+    finer = replace(growing(2).grid, exterior=1.01 * growing(2).grid.exterior)
+    recorder.keep(replace(growing(2), grid=finer))
+    found = read_dataset(tmp_path / "pushes")
+    same(found, growing(2))
+    assert np.array_equal(found.grid.exterior, finer.exterior)
+
+
 def test_a_recording_that_was_interrupted_is_gone_on_with(tmp_path):
     record(tmp_path / "pushes", 2)
     record(tmp_path / "pushes", 4, kept=2)
