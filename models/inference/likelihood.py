@@ -58,10 +58,10 @@ class NormalEquations:
     cost: FloatArray  # (K, B) robust cost of each push, including the prior of its start offset
     hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
     gradient: FloatArray  # (K, d)
-    push_gradient: FloatArray  # (B, K, d) of each push, unweighted
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
+    push_gradient: FloatArray | None = None  # (B, K, d) of each push, unweighted, where asked for
 
 
 class PushCosts(Protocol):
@@ -119,7 +119,13 @@ class PushLikelihood(ABC):
         self._rows = (3 * poses + 2 * np.array(forces, dtype=np.int64))[self._order]
 
     def linearise(
-        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+        self,
+        z: FloatArray,
+        offsets: FloatArray,
+        strength: FloatArray,
+        weights: FloatArray,
+        *,
+        by_push: bool = False,
     ) -> NormalEquations:
         """Costs and normal equations at coordinates z (K, d) and start offsets (K, B, 3).
 
@@ -128,6 +134,7 @@ class PushLikelihood(ABC):
             offsets: start offsets, m and rad.
             strength: (K,) see `MapPrior.maps`.
             weights: (K, B) weight of each push in the equations of each hypothesis; 0 leaves it out.
+            by_push: whether the gradient of each push is wanted too.
         """
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
@@ -141,7 +148,8 @@ class PushLikelihood(ABC):
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
-        couplings, push_gradients = np.empty((B, K, d, 3)), np.empty((B, K, d))
+        couplings = np.empty((B, K, d, 3))
+        push_gradients = np.empty((B, K, d)) if by_push else None
         for alike in self._rolled_out(maps, offsets, P):
             own = alike.pushes
             J, r, own_cost = self._whitened(alike)
@@ -164,13 +172,14 @@ class PushLikelihood(ABC):
             )
             own_gradient = slope - (coupling @ gain @ start_gradient[..., None])[..., 0]
             reduced_gradient[:, :p] += (w[..., None] * own_gradient).sum(axis=1)
-            push_gradients[own] = (own_gradient @ columns[:, :p]).swapaxes(0, 1)
+            if push_gradients is not None:
+                push_gradients[own] = (own_gradient @ columns[:, :p]).swapaxes(0, 1)
             gains[own], start_gradients[own] = gain.swapaxes(0, 1), start_gradient.swapaxes(0, 1)
             by_start = (by_column[..., :p] @ beside).reshape(K, d, G, 3)
             couplings[own] = by_start.transpose(2, 0, 1, 3)
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
-        return NormalEquations(cost, hessian, gradient, push_gradients, gains, start_gradients, couplings)
+        return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings, push_gradients)
 
     def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
         """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
