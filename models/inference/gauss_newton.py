@@ -29,11 +29,12 @@ class Fits:
     cost: FloatArray  # (K,) weighted cost, prior included
     push_cost: FloatArray  # (K, B) cost of each push, unweighted
     hessian: FloatArray  # (K, d, d) of the weighted data cost; add the identity for the prior
+    start_gain: FloatArray  # (K, B, 3, 3) see `NormalEquations`
 
     def best(self) -> Fits:
         """The hypothesis of lowest cost."""
         k = [int(np.argmin(self.cost))]
-        return Fits(self.z[k], self.offsets[k], self.cost[k], self.push_cost[k], self.hessian[k])
+        return Fits(*(getattr(self, name)[k] for name in Fits.__annotations__))
 
 
 def fit(
@@ -114,7 +115,9 @@ def fit(
             progress(done, iterations)
         if len(active) == 0:
             break
-    return Fits(z, shift, cost, equations.cost, equations.hessian)
+    return Fits(
+        z, shift, cost, equations.cost, equations.hessian, equations.start_gain.swapaxes(0, 1)
+    )
 
 
 def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damping: float) -> FloatArray:
@@ -163,5 +166,5 @@ def _promised(
 def _overwrite(old: NormalEquations, who: np.ndarray, new: NormalEquations, rows: np.ndarray) -> None:
     for name in ("cost", "hessian", "gradient"):
         getattr(old, name)[who] = getattr(new, name)[rows]
-    for name in ("push_gradient", "start_gain", "start_gradient", "coupling"):
+    for name in ("start_gain", "start_gradient", "coupling"):
         getattr(old, name)[:, who] = getattr(new, name)[:, rows]

@@ -104,13 +104,11 @@ def trusting(alpha: float) -> LikelihoodSettings:
 
 def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     """log p(data) up to a constant independent of the likelihood's settings; see the top of the file."""
-    one = np.ones(1)
-    equations = likelihood.linearise(found.z, found.offsets, one, np.ones((1, len(likelihood.observations))))
-    maps = np.linalg.slogdet(equations.hessian[0] + np.eye(found.z.shape[1]))[1]
+    maps = np.linalg.slogdet(found.hessian[0] + np.eye(found.z.shape[1]))[1]
     # The gain is the inverse of 1 / σ² + H_b.
     sigma = np.broadcast_to(likelihood.start_sigma, (len(likelihood.observations), 3))
     scale = sigma[:, :, None] * sigma[:, None]
-    starts = np.linalg.slogdet(equations.start_gain[:, 0] / scale)[1].sum()
+    starts = np.linalg.slogdet(found.start_gain[0] / scale)[1].sum()
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 

@@ -58,10 +58,10 @@ class NormalEquations:
     cost: FloatArray  # (K, B) robust cost of each push, including the prior of its start offset
     hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
     gradient: FloatArray  # (K, d)
-    push_gradient: FloatArray  # (B, K, d) of each push, unweighted
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
+    push_gradient: FloatArray | None = None  # (B, K, d) of each push, unweighted, where asked for
 
 
 class PushCosts(Protocol):
@@ -77,11 +77,11 @@ class PushCosts(Protocol):
 
 
 class Alike(NamedTuple):
-    """Rollouts of G pushes with equally many poses S and forces T, and their derivatives by p columns."""
+    """Rollouts of G pushes with equally many poses S, and their derivatives by p columns."""
 
     pushes: NDArray[np.int64]  # (G,) which of the B pushes these are
     poses: FloatArray  # (K, G, S, 3)
-    forces: FloatArray  # (K, G, T, 2)
+    forces: FloatArray  # (K, G, T, 2), zero after a push's own; T is the number of the push with most
     d_poses: FloatArray  # (K, G, S, 3, p)
     d_forces: FloatArray  # (K, G, T, 2, p)
 
@@ -111,20 +111,21 @@ class PushLikelihood(ABC):
         self._pushes = list(pushes)
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
-        sizes = [self._size(b) for b in range(len(self._pushes))]
-        self._order = np.array(sorted(range(len(sizes)), key=sizes.__getitem__), dtype=np.int64)
-        kinds = {size: kind for kind, size in enumerate(sorted(set(sizes)))}
-        # In that order: which pushes agree in size, and how many rows of residuals each has.
-        self._kind = np.array([kinds[sizes[b]] for b in self._order], dtype=np.int64)
-        self._rows = np.array([3 * sizes[b][0] + 2 * sizes[b][1] for b in self._order], dtype=np.int64)
-
-    def _size(self, b: int) -> tuple[int, ...]:
-        """What has to agree for pushes to be weighted together: numbers of poses, forces and so on."""
-        times = self._pushes[b].force_times
-        return len(self.observations[b].poses), 0 if times is None else len(times)
+        poses = np.array([len(observation.poses) for observation in self.observations], dtype=np.int64)
+        forces = [0 if push.force_times is None else len(push.force_times) for push in self._pushes]
+        self._order = np.lexsort((forces, poses))
+        # In that order: which pushes have equally many poses, and how many rows of derivatives each has.
+        self._kind = poses[self._order]
+        self._rows = (3 * poses + 2 * np.array(forces, dtype=np.int64))[self._order]
 
     def linearise(
-        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+        self,
+        z: FloatArray,
+        offsets: FloatArray,
+        strength: FloatArray,
+        weights: FloatArray,
+        *,
+        by_push: bool = False,
     ) -> NormalEquations:
         """Costs and normal equations at coordinates z (K, d) and start offsets (K, B, 3).
 
@@ -133,6 +134,7 @@ class PushLikelihood(ABC):
             offsets: start offsets, m and rad.
             strength: (K,) see `MapPrior.maps`.
             weights: (K, B) weight of each push in the equations of each hypothesis; 0 leaves it out.
+            by_push: whether the gradient of each push is wanted too.
         """
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
@@ -146,7 +148,8 @@ class PushLikelihood(ABC):
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
-        couplings, push_gradients = np.empty((B, K, d, 3)), np.empty((B, K, d))
+        couplings = np.empty((B, K, d, 3))
+        push_gradients = np.empty((B, K, d)) if by_push else None
         for alike in self._rolled_out(maps, offsets, P):
             own = alike.pushes
             J, r, own_cost = self._whitened(alike)
@@ -169,13 +172,14 @@ class PushLikelihood(ABC):
             )
             own_gradient = slope - (coupling @ gain @ start_gradient[..., None])[..., 0]
             reduced_gradient[:, :p] += (w[..., None] * own_gradient).sum(axis=1)
-            push_gradients[own] = (own_gradient @ columns[:, :p]).swapaxes(0, 1)
+            if push_gradients is not None:
+                push_gradients[own] = (own_gradient @ columns[:, :p]).swapaxes(0, 1)
             gains[own], start_gradients[own] = gain.swapaxes(0, 1), start_gradient.swapaxes(0, 1)
             by_start = (by_column[..., :p] @ beside).reshape(K, d, G, 3)
             couplings[own] = by_start.transpose(2, 0, 1, 3)
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
-        return NormalEquations(cost, hessian, gradient, push_gradients, gains, start_gradients, couplings)
+        return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings, push_gradients)
 
     def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
         """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
@@ -193,7 +197,36 @@ class PushLikelihood(ABC):
             )
             reached = np.asarray(rollouts.reached.any(axis=0))
             for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
-                yield _alike(own, alike, rollouts, reached[alike.start], self.prior.slider.columns)
+                yield self._alike(own, alike, rollouts, reached[alike.start])
+
+    def _alike(self, pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool) -> Alike:
+        """Some of the rolled-out pushes, without the mass columns where these are all zero."""
+        own, G = pushes[alike], alike.stop - alike.start
+        poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
+        ends = rollouts.force_at[alike.start : alike.stop + 1].tolist()
+        used = slice(None) if reached else slice(self.prior.slider.columns)
+
+        def side_by_side(rows: FloatArray) -> FloatArray:
+            """(K, G, T, …) forces from those of all pushes (K, Σ, …)."""
+            if ends[0] == ends[-1]:
+                return np.zeros((len(rows), G, 0, *rows.shape[2:]))
+            each = [self._told(b, rows[:, i:j]) for b, (i, j) in zip(own, pairwise(ends), strict=True)]
+            result = np.zeros((len(rows), G, max(one.shape[1] for one in each), *rows.shape[2:]))
+            for place, one in enumerate(each):
+                result[:, place, : one.shape[1]] = one
+            return result
+
+        return Alike(
+            own,
+            _split(rollouts.poses[:, poses], G),
+            side_by_side(rollouts.forces),
+            _split(rollouts.d_poses[:, poses, :, used], G),
+            side_by_side(rollouts.d_forces[..., used]),
+        )
+
+    def _told(self, b: int, forces: FloatArray) -> FloatArray:
+        """(K, T, …) what is compared with the measured forces of push b, from its forces (K, steps, …)."""
+        return forces
 
     def _pose_errors(self, alike: Alike) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, G, S, 3), m, and derivatives
@@ -219,23 +252,17 @@ def _cut(*labels: NDArray[Any]) -> Iterator[slice]:
     return (slice(first, last) for first, last in pairwise(ends))
 
 
-def _alike(pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool, columns: int) -> Alike:
-    """Some of the rolled-out pushes, without the mass columns where these are all zero."""
-    G = alike.stop - alike.start
-    poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
-    forces = slice(rollouts.force_at[alike.start], rollouts.force_at[alike.stop])
-    used = slice(None) if reached else slice(columns)
+def _split(rows: FloatArray, count: int) -> FloatArray:
+    """(K, G, S, …) rows of `count` pushes with equally many, from (K, G S, …)."""
+    return rows.reshape(len(rows), count, -1, *rows.shape[2:])
 
-    def split(rows: FloatArray) -> FloatArray:
-        return rows.reshape(len(rows), G, -1 if rows.size else 0, *rows.shape[2:])
 
-    return Alike(
-        pushes[alike],
-        split(rollouts.poses[:, poses]),
-        split(rollouts.forces[:, forces]),
-        split(rollouts.d_poses[:, poses, :, used]),
-        split(rollouts.d_forces[:, forces, :, used]),
-    )
+def stacked(arrays: Sequence[FloatArray], length: int) -> FloatArray:
+    """(G, length, …) arrays (T_g, …), with zeros after the rows of the shorter ones."""
+    result = np.zeros((len(arrays), length, *arrays[0].shape[1:]), arrays[0].dtype)
+    for place, one in enumerate(arrays):
+        result[place, : len(one)] = one
+    return result
 
 
 class Likelihood(PushLikelihood):
@@ -313,10 +340,11 @@ class Likelihood(PushLikelihood):
         sigma = np.stack([self._sigmas[b] for b in alike.pushes])
         share = np.full((G, 1), min(1.0, settings.independent / S))
         groups = [(error, slopes, sigma, share)]
-        sliding = np.stack([observation.sliding for observation in seen])
+        sliding = stacked([observation.sliding for observation in seen], alike.forces.shape[2])
         if sliding.any():
             used = sliding.any(axis=0)
-            error = alike.forces - np.stack([observation.forces for observation in seen])
+            measured = stacked([observation.forces for observation in seen], len(used))
+            error = alike.forces - measured
             sigma = self._force_sigmas[alike.pushes][:, None]
             share = np.minimum(1.0, settings.independent_forces / np.maximum(sliding.sum(axis=1), 1))
             share = sliding[:, used] * share[:, None]

@@ -210,7 +210,6 @@ class JointLikelihood:
         K, d, B = len(z), self.prior.size, len(self.observations)
         cost, hessian, gradient = np.zeros((K, B)), np.zeros((K, d, d)), np.zeros((K, d))
         gain, slope, coupling = np.zeros((B, K, 3, 3)), np.zeros((B, K, 3)), np.zeros((B, K, d, 3))
-        by_push = np.zeros((B, K, d))
         for part, place, own in zip(self.parts, self.prior.places, self.pushes, strict=True):
             found = part.linearise(z[:, place], offsets[:, own], strength, weights[:, own])
             cost[:, own] = found.cost
@@ -218,8 +217,7 @@ class JointLikelihood:
             gradient[:, place] += found.gradient
             gain[own], slope[own] = found.start_gain, found.start_gradient
             coupling[own, :, place] = found.coupling
-            by_push[own, :, place] = found.push_gradient
-        return NormalEquations(cost, hessian, gradient, by_push, gain, slope, coupling)
+        return NormalEquations(cost, hessian, gradient, gain, slope, coupling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +312,9 @@ class Together:
                 values = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
                 z = np.concatenate([one.base.z[0], prior.effect_coordinates(values)])
                 weights = np.ones((1, len(one.observations)))
-                equations = likelihood.linearise(z[None], one.base.offsets, np.ones(1), weights)
+                equations = likelihood.linearise(
+                    z[None], one.base.offsets, np.ones(1), weights, by_push=True
+                )
                 for i in asked:
                     own = prior.plain + at[i] + np.flatnonzero(effects[i].amplitudes)
                     said[i].append(_eliminated(equations, one.base.z[0], own, signs[k]))
@@ -515,6 +515,7 @@ def _eliminated(
     hessian, slopes = equations.hessian[0], equations.gradient[0][:, None]
     pulls = pull[:, None]
     if signs is not None:
+        assert equations.push_gradient is not None
         slopes = np.concatenate([slopes, equations.push_gradient[:, 0].T @ signs], axis=1)
         # The prior balances only the data.
         pulls = np.concatenate([pulls, np.zeros((len(pull), signs.shape[1]))], axis=1)

@@ -6,6 +6,7 @@ modelled, and all poses count.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import Alike, PushLikelihood
+from slipmap.models.inference.likelihood import Alike, PushLikelihood, stacked
 from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -165,31 +166,38 @@ class CorrelatedLikelihood(PushLikelihood):
         columns = self.prior.columns(maps).shape[1]
         found: dict[int, Linearised] = {}
         for alike in self._rolled_out(maps, offsets[None], columns):
-            (pose, pose_slopes), (force, force_slopes) = self._pose_errors(alike), self._force_errors(alike)
-            by_z = self.prior.chain(maps, pose_slopes)[0], self.prior.chain(maps, force_slopes)[0]
+            (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
+            by_z, force_by_z = (self.prior.chain(maps, rows)[0] for rows in (pose_slopes, alike.d_forces))
             for place, b in enumerate(alike.pushes.tolist()):
-                found[b] = Linearised(pose[0, place], by_z[0][place], force[0, place], by_z[1][place])
+                T = len(self.measured.stretches[b])
+                found[b] = Linearised(
+                    pose[0, place], by_z[place], force[0, place, :T], force_by_z[place, :T]
+                )
         return [found[b] for b in range(len(self.observations))]
 
-    def _size(self, b: int) -> tuple[int, ...]:
-        return *super()._size(b), int(self.observations[b].sliding.sum())
+    def _told(self, b: int, forces: FloatArray) -> FloatArray:
+        mean = self.measured.stretches[b]
+        K, steps, *others = forces.shape
+        return (mean @ forces.reshape(K, steps, math.prod(others))).reshape(K, len(mean), *others)
 
-    def _force_errors(self, alike: Alike) -> tuple[FloatArray, FloatArray]:
-        """Mean forces, predicted minus measured (K, G, T, 2), N, and derivatives (K, G, T, 2, p)."""
-        mean = np.stack([self.measured.stretches[b] for b in alike.pushes])
+    def _force_errors(self, alike: Alike) -> FloatArray:
+        """Mean forces, predicted minus measured (K, G, T, 2), N."""
         seen = [self.observations[b] for b in alike.pushes]
-        measured = np.stack([observation.forces[observation.sliding] for observation in seen])
-        K, G, steps, _, p = alike.d_forces.shape
-        slopes = (mean @ alike.d_forces.reshape(K, G, steps, 2 * p)).reshape(K, G, -1, 2, p)
-        return mean @ alike.forces - measured, slopes
+        measured = [observation.forces[observation.sliding] for observation in seen]
+        return alike.forces - stacked(measured, alike.forces.shape[2])
 
     def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
-        (pose, pose_slopes), (force, force_slopes) = self._pose_errors(alike), self._force_errors(alike)
+        (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
         own = [self.whiteners[b] for b in alike.pushes]
-        whitener = Whitener(np.stack([one.pose for one in own]), np.stack([one.force for one in own]), 0.0)
-        J = whitener(pose_slopes, force_slopes)
+        T = force.shape[2]
+        of_force = np.zeros((len(own), T, T))
+        for place, one in enumerate(own):
+            of_force[place, : len(one.force), : len(one.force)] = one.force
+        whitener = Whitener(np.stack([one.pose for one in own]), of_force, 0.0)
+        J = whitener(pose_slopes, alike.d_forces)
         r = whitener(pose[..., None], force[..., None])[..., 0]
-        weight, cost = _robust((r**2).sum(axis=-1), r.shape[-1])
+        rows = 3 * pose.shape[2] + 2 * np.array([len(one.force) for one in own])
+        weight, cost = _robust((r**2).sum(axis=-1), rows)
         root = np.sqrt(weight)[..., None]
         return J * root[..., None], r * root, cost
 
@@ -198,9 +206,10 @@ _OUTLIER = 2.5
 """Pushes whose whitened residuals exceed this root mean square count linearly (Huber)."""
 
 
-def _robust(square: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Huber's weights and costs (…) of pushes from the squared norms (…) of their whitened residuals."""
-    norm, limit = np.sqrt(square), _OUTLIER * float(np.sqrt(rows))
+def _robust(square: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Huber's weights and costs (K, G) of pushes from the squared norms (K, G) of their whitened residuals,
+    `rows` (G,) in number."""
+    norm, limit = np.sqrt(square), _OUTLIER * np.sqrt(rows)
     beyond = norm > limit
     weight = np.where(beyond, limit / np.maximum(norm, 1e-300), 1.0)
     return weight, np.where(beyond, limit * (norm - 0.5 * limit), 0.5 * square)

@@ -197,7 +197,7 @@ class Inquiry:
         report("fitting without effects", 1, 1)
         self.error = self.base.likelihood.error
         self.second_look = False
-        self.refits = Refits(self.error, {}, {})
+        self.refits = Refits(self.base, {}, {})
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
         self.faint = False
@@ -216,7 +216,7 @@ class Inquiry:
             self.fitter, self.base, self.first, self.effects, self.scene,
             quick=not self.draws, progress=partial(self.report, "refitting with effects"),
         )  # fmt: skip
-        self.error = self.refits.error
+        self.error = self.refits.plain.likelihood.error
         if self._found_better_base():
             return self.run()
         missing = missing and not self.rules.vanishes(self.first, self.refits.gains)
@@ -242,16 +242,19 @@ class Inquiry:
             return self._too_faint()
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
-    def _screen(self, fitted: Fitted, progress: StageProgress | None = None) -> Screening:
+    def _screen(
+        self, fitted: Fitted, progress: StageProgress | None = None, *, flips: bool = False
+    ) -> Screening:
         everything = (*self.effects, *PROBES)
         return screen(
             self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng,
-            progress,
+            progress, flips=flips,
         )  # fmt: skip
 
     def _ask_every_effect(self) -> Screening:
         """Gains on top of the model without effects."""
-        first = self._screen(self.base, partial(self.report, "screening effects"))
+        flips = self.draws > 0 and not self.fitter.noise.declared  # for `_disagreement`
+        first = self._screen(self.base, partial(self.report, "screening effects"), flips=flips)
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first
@@ -292,11 +295,11 @@ class Inquiry:
         if self.second_look or not self.draws:
             return False
         self.second_look = True
-        better = better_base(self.fitter, self.base, self.refits)
+        better = better_base(self.fitter, self.refits)
         if better is None:
             return False
         self.base, self.error = better, better.likelihood.error
-        self.refits = Refits(self.error, {}, {})
+        self.refits = Refits(self.base, {}, {})
         return True
 
     def _disagreement(self) -> Outcome | None:

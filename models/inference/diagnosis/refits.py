@@ -10,7 +10,6 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.progress import StageProgress
 
 _QUICK_REFITS = 3
@@ -31,7 +30,7 @@ _SECONDS_TRIED, _SECOND_SHARE = 2, 0.3
 class Refits:
     """Candidates refitted in full."""
 
-    error: ErrorModel  # error model of the best of them
+    plain: Fitted  # the model without effects, under the error model of the best of them
     fits: dict[str, Fitted]  # by name, those close to the best
     gains: dict[str, float]  # drop in cost by each, nats
 
@@ -72,7 +71,7 @@ def refit_candidates(
         if fitted is not None:
             found[effect.name] = fitted
     if not found:
-        return Refits(error, {}, {})
+        return Refits(base, {}, {})
     favourite = first.candidates[named[0]].name
     if quick:
         # One step does not bring every candidate near its optimum, so the first-order favourite stays in.
@@ -91,10 +90,10 @@ def refit_candidates(
         if again is not None:
             fits[name] = again
     progress(len(named) + 2, len(named) + 2)
-    return Refits(error, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
+    return Refits(plain, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
 
 
-def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
+def better_base(fitter: Fitter, refits: Refits) -> Fitted | None:
     """The model without effects, refitted from the maps of the best refit, if that explains the data better.
 
     The effect then helped the search, not the model.
@@ -102,8 +101,8 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
     if not refits.fits:
         return None
     best = min(refits.fits.values(), key=lambda fitted: fitted.cost)
-    again = fitter.base(refits.error, best)
-    if again.cost > fitter.base(refits.error, base).cost - _BETTER_BASE:
+    again = fitter.base(refits.plain.likelihood.error, best)
+    if again.cost > refits.plain.cost - _BETTER_BASE:
         return None
     return fitter.base(estimate_errors(again, fitter.noise), again)
 

@@ -43,7 +43,7 @@ class Screening:
     start: np.ndarray  # (C,) index of the best start
     chance: FloatArray  # (C, D) the same gains for data simulated without any missing effect
     # (C, D) the same for the data with the residuals of whole pushes flipped in sign at random; the first
-    # column is the data unchanged
+    # column is the data unchanged. Without columns unless asked for
     turned: FloatArray
     # (C,) smallest standard deviation of an amplitude that the data leave, in its scales
     sharpness: FloatArray
@@ -73,6 +73,8 @@ def screen(
     draws: int,
     rng: np.random.Generator,
     progress: StageProgress | None = None,
+    *,
+    flips: bool = False,
 ) -> Screening:
     """Gains of all effects on top of a fitted model.
 
@@ -85,6 +87,7 @@ def screen(
         draws: D, simulated datasets.
         rng: of the draws.
         progress: called with the numbers of parts done and of all parts.
+        flips: whether the gains of data with flipped signs are wanted too.
     """
     report = progress or (lambda done, total: None)
     jacobians, residuals, base_columns, own_columns = _stacked(fitter, fitted, everything, scene, report)
@@ -95,8 +98,10 @@ def screen(
     spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
 
     small = rng.standard_normal((len(spare), draws)) * _TOLERANCE
+    # Drawn in any case, so that chance is the same.
     signs = rng.choice([-1.0, 1.0], (len(residuals), draws))
     signs[:, 0] = 1.0
+    signs = signs if flips else signs[:, :0]
     drawn = [
         np.concatenate(
             [r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small, r[:, None] * turn],
@@ -165,21 +170,20 @@ class _Stacked(NamedTuple):
 def _stacked(
     fitter: Fitter, fitted: Fitted, everything: Sequence[Effect], scene: Scene, report: StageProgress
 ) -> _Stacked:
-    prior = fitter.prior(everything)
-    likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
-    plain = prior.plain
-    at = plain + np.cumsum([0, *(len(effect.parameters) for effect in everything)])
     names = [effect.name for effect in everything]
     present = [names.index(effect.name) for effect in fitted.effects]
     candidates = [i for i in range(len(everything)) if i not in present]
     starts = [effect.start_values(scene) for effect in everything]
+    # Later rounds need only the effects with several starts. Another one in the model would make this a
+    # combination of its own, which takes longer to compile than it saves.
+    several = [i for i, start in enumerate(starts) if len(start) > 1]
+    later = several if set(present) <= set(several) else list(range(len(everything)))
     values = fitted.values
     for effect, i in zip(fitted.effects, present, strict=True):
         starts[i] = values[None, : len(effect.parameters)]
         values = values[len(effect.parameters) :]
 
-    taken = [np.arange(plain), *(np.arange(at[i], at[i + 1]) for i in present)]
-    width = sum(len(columns) for columns in taken)
+    width = len(fitted.z)
     base_columns = np.arange(width)
     own_columns: list[list[np.ndarray]] = [[] for _ in everything]
     residuals: list[FloatArray] = []
@@ -187,15 +191,21 @@ def _stacked(
     guesses = max(len(starts[i]) for i in candidates)
     for g in range(guesses):
         report(g, guesses + 1)  # the last part, all scores, takes about as long as several of the others
-        guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
-        z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
+        tried = later if g else list(range(len(everything)))
+        prior = fitter.prior([everything[i] for i in tried])
+        likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
+        ends = prior.plain + np.cumsum([len(everything[i].parameters) for i in tried])
+        at = {i: np.arange(end - len(everything[i].parameters), end) for i, end in zip(tried, ends, strict=True)}
+        taken = [] if g else [np.arange(prior.plain), *(at[i] for i in present)]
+        guess = np.concatenate([starts[i][min(g, len(starts[i]) - 1)] for i in tried])
+        z = np.concatenate([fitted.z[: prior.plain], prior.effect_coordinates(guess)])
         for i in candidates:
             if g < len(starts[i]):
-                columns = at[i] + np.flatnonzero(everything[i].amplitudes)
+                columns = at[i][everything[i].amplitudes]
                 taken.append(columns)
                 own_columns[i].append(np.arange(width, width + len(columns)))
                 width += len(columns)
-        chosen, taken = np.concatenate(taken), []
+        chosen = np.concatenate(taken)
         try:
             rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
         except RolloutError as error:

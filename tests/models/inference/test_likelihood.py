@@ -61,9 +61,9 @@ def test_pushes_rolled_out_in_parts_give_the_same_equations(likelihood, monkeypa
     B = len(likelihood.observations)
     z = 0.2 * rng.standard_normal((2, likelihood.prior.size))
     offsets, weights = 1e-4 * rng.standard_normal((2, B, 3)), rng.uniform(0.5, 1.5, (2, B))
-    together = likelihood.linearise(z, offsets, np.ones(2), weights)
+    together = likelihood.linearise(z, offsets, np.ones(2), weights, by_push=True)
     monkeypatch.setattr("slipmap.models.inference.likelihood._JACOBIANS", 1)
-    parts = likelihood.linearise(z, offsets, np.ones(2), weights)
+    parts = likelihood.linearise(z, offsets, np.ones(2), weights, by_push=True)
     for name, value in vars(together).items():
         assert getattr(parts, name) == pytest.approx(value, rel=1e-12, abs=1e-12), name
 

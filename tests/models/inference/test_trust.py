@@ -56,7 +56,7 @@ class LinearPushes:
 
         hessians = np.repeat(hessian[None], K, axis=0)
         return NormalEquations(
-            cost, hessians, by_push.sum(axis=0), by_push, each(gain), start_gradient, each(coupling)
+            cost, hessians, by_push.sum(axis=0), each(gain), start_gradient, each(coupling)
         )
 
 
