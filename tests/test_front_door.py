@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import pkgutil
 import re
 import subprocess
 import sys
@@ -14,9 +15,22 @@ import pytest
 import slipmap
 
 ROOT = Path(__file__).parents[1]
-ROOMS = {"diagrams", "models", "planners"}
+ROOMS = {"diagrams", "figures", "models", "planners"}
 OFFERED = sorted(set(slipmap.__all__) - ROOMS)
 PLAIN = {"LIBRARY"}  # a tuple, with nowhere to put a docstring
+PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+
+
+def further_inside() -> list[str]:
+    """Paths of what the page names beyond the front door."""
+    paths, module = [f"slipmap.{path}" for path in re.findall(r"`(figures\.\w+)`", PAGE)], ""
+    for named, name in re.findall(r"^\| (?:`(slipmap\.[\w.]+)` )?\| `(\w+)` \|", PAGE, flags=re.M):
+        module = named or module
+        paths.append(f"{module}.{name}")
+    return paths
+
+
+EXPLAINED = [f"slipmap.{name}" for name in sorted(set(OFFERED) - PLAIN)] + further_inside()
 
 
 def test_every_name_is_there_and_listed() -> None:
@@ -39,15 +53,14 @@ def test_it_loads_neither_drake_nor_numpy() -> None:
 
 
 def test_the_page_of_the_docs_names_all() -> None:
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    assert set(OFFERED) <= set(re.findall(r"`(\w+)`", page))
+    assert set(OFFERED) <= set(re.findall(r"`(\w+)`", PAGE))
 
 
-@pytest.mark.parametrize("name", sorted(set(OFFERED) - PLAIN))
-def test_its_docstring_has_an_example_that_is_true(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("path", EXPLAINED)
+def test_its_docstring_has_an_example_that_is_true(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib.use("Agg")
-    offered = getattr(slipmap, name)
-    examples = doctest.DocTestParser().get_doctest(offered.__doc__ or "", {}, name, None, None)
+    named = pkgutil.resolve_name(path)
+    examples = doctest.DocTestParser().get_doctest(named.__doc__ or "", {}, path, None, None)
     assert examples.examples
     said: list[str] = []
     results = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(examples, out=said.append)

@@ -1,23 +1,16 @@
 """The names that `import slipmap` offers and where each is defined; `__init__.py` loads them on first use."""
 
 from . import diagrams as diagrams, models as models, planners as planners
+from .diagrams.application import figures as figures
 from .diagrams.application.demonstration import (
     simulated_hammer as simulated_hammer,
     tilted_block as tilted_block,
 )
 from .diagrams.application.figures import (
-    draw_cells as draw_cells,
-    draw_outline as draw_outline,
-    effect_figure as effect_figure,
-    error_figure as error_figure,
-    gain_figure as gain_figure,
     maps_figure as maps_figure,
-    measured_figure as measured_figure,
     push_figures as push_figures,
     save as save,
-    table_figure as table_figure,
 )
-from .diagrams.application.simulator_models import export_belief as export_belief
 from .diagrams.loops.exploration_loop import LoopOptions as LoopOptions
 from .diagrams.loops.exploration_run import explore as explore
 from .diagrams.loops.pregrasp_loop import PregraspOptions as PregraspOptions, pregrasp as pregrasp
@@ -28,39 +21,21 @@ from .diagrams.systems.belief_visualizer import BeliefVisualizer as BeliefVisual
 from .diagrams.systems.cell_grid_slider import CellGridSlider as CellGridSlider
 from .diagrams.systems.diagnosis import Diagnosis as Diagnosis
 from .diagrams.systems.exploration import Exploration as Exploration
-from .diagrams.systems.finger import FingerMotion as FingerMotion, FingerPath as FingerPath
+from .diagrams.systems.finger import FingerPath as FingerPath
 from .diagrams.systems.goal_and_push_planner import GoalAndPushPlanner as GoalAndPushPlanner
 from .diagrams.systems.identification import Identification as Identification
-from .diagrams.systems.measurement_logger import (
-    MeasurementLogger as MeasurementLogger,
-    TrialLogger as TrialLogger,
-)
+from .diagrams.systems.measurement_logger import TrialLogger as TrialLogger
 from .diagrams.systems.model_monitor import ModelMonitor as ModelMonitor
 from .diagrams.testing import open_cell as open_cell
 from .models.effects.effect import Effect as Effect, Parameter as Parameter
 from .models.effects.library import LIBRARY as LIBRARY
 from .models.effects.registry import effects_named as effects_named, load_effects as load_effects
 from .models.inference.belief import Belief as Belief
-from .models.inference.comparison import (
-    compare as compare,
-    compare_together as compare_together,
-    compare_with_effects as compare_with_effects,
-)
-from .models.inference.diagnosis.several import (
-    diagnose_together as diagnose_together,
-    fit_together as fit_together,
-)
+from .models.inference.comparison import compare as compare
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
-from .models.measurements.dataset_check import check_dataset as check_dataset
-from .models.measurements.importing import guess_setup as guess_setup, import_dataset as import_dataset
-from .models.measurements.push_dataset import (
-    DatasetError as DatasetError,
-    KnownMaps as KnownMaps,
-    PushDataset as PushDataset,
-    Table as Table,
-    Trial as Trial,
-)
+from .models.measurements.importing import import_dataset as import_dataset
+from .models.measurements.push_dataset import PushDataset as PushDataset, Trial as Trial
 from .models.measurements.reading import read_dataset as read_dataset
 from .models.measurements.simulated import record_pushes as record_pushes
 from .models.measurements.writing import write_dataset as write_dataset

@@ -147,10 +147,11 @@ def export_belief(
 
     Example:
         >>> import slipmap, tempfile
+        >>> from slipmap.diagrams.application.simulator_models import export_belief
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
         >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
         >>> folder = tempfile.mkdtemp() + "/models"
-        >>> [path.name for path in slipmap.export_belief(belief, "mjcf", folder, hypotheses=True)]
+        >>> [path.name for path in export_belief(belief, "mjcf", folder, hypotheses=True)]
         ['hammer_00.xml', 'hammer_01.xml']
     """
     if to not in _WRITERS:

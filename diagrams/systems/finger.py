@@ -27,8 +27,8 @@ class FingerMotion(PythonSystem):
         period: s over which the velocity is computed; the step of the model that it drives.
 
     Example:
-        >>> import slipmap
-        >>> motion = slipmap.FingerMotion(0.005)
+        >>> from slipmap.diagrams.systems.finger import FingerMotion
+        >>> motion = FingerMotion(0.005)
         >>> [motion.get_output_port(i).get_name() for i in range(motion.num_output_ports())]
         ['finger']
     """

@@ -188,8 +188,9 @@ class GoalAndPushPlanner(PythonSystem):
 
     Example:
         >>> import slipmap
+        >>> from slipmap.models.measurements import Table
         >>> from slipmap.planners.settings import PregraspSettings
-        >>> table = slipmap.Table("round", (0.0, 0.0), radius=0.5)
+        >>> table = Table("round", (0.0, 0.0), radius=0.5)
         >>> planner = slipmap.GoalAndPushPlanner(PregraspSettings(), table)
         >>> [planner.get_output_port(i).get_name() for i in range(planner.num_output_ports())]
         ['plan']

@@ -94,8 +94,8 @@ class MeasurementLogger(PythonSystem):
         trials: recorded earlier.
 
     Example:
-        >>> import slipmap
-        >>> logger = slipmap.MeasurementLogger(fit=3)
+        >>> from slipmap.diagrams.systems.measurement_logger import MeasurementLogger
+        >>> logger = MeasurementLogger(fit=3)
         >>> [logger.get_output_port(i).get_name() for i in range(logger.num_output_ports())]
         ['trials', 'missed', 'under_way']
     """

@@ -209,8 +209,9 @@ def compare_with_effects(
 
     Example:
         >>> import slipmap
+        >>> from slipmap.models.inference.comparison import compare_with_effects
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
-        >>> [comparison.label for comparison in slipmap.compare_with_effects(dataset, ["table_tilt"])]
+        >>> [comparison.label for comparison in compare_with_effects(dataset, ["table_tilt"])]
         ['without effects', 'with table_tilt']
     """
     added = named(effects)
@@ -284,8 +285,9 @@ def compare_together(
     Example:
         >>> import dataclasses
         >>> import slipmap
+        >>> from slipmap.models.inference.comparison import compare_together
         >>> first, again = (slipmap.simulated_hammer(seed=s, fit=2, heldout=1)[0] for s in (1, 2))
-        >>> found = slipmap.compare_together([first, dataclasses.replace(again, name="again")])
+        >>> found = compare_together([first, dataclasses.replace(again, name="again")])
         >>> [one.dataset for (one,) in found.datasets]
         ['hammer', 'again']
     """

@@ -142,8 +142,9 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
 
     Example:
         >>> import slipmap
+        >>> from slipmap.models.measurements.dataset_check import check_dataset
         >>> dataset, _ = slipmap.simulated_hammer(seed=1)
-        >>> check = slipmap.check_dataset(dataset)
+        >>> check = check_dataset(dataset)
         >>> check.wrong, check.coverage.pushes
         (False, 10)
     """

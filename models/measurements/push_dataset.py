@@ -39,9 +39,10 @@ class DatasetError(ValueError):
 
     Example:
         >>> import slipmap
+        >>> from slipmap.models.measurements import DatasetError
         >>> try:
         ...     slipmap.read_dataset("nowhere")
-        ... except slipmap.DatasetError as error:
+        ... except DatasetError as error:
         ...     print(str(error).split(";")[0])
         'nowhere': there is no such file or folder
     """
@@ -188,8 +189,8 @@ class Table:
     """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
 
     Example:
-        >>> import slipmap
-        >>> table = slipmap.Table("round", (0.0, 0.0), radius=0.5)
+        >>> from slipmap.models.measurements import Table
+        >>> table = Table("round", (0.0, 0.0), radius=0.5)
         >>> table.radius
         0.5
     """
@@ -224,8 +225,9 @@ class KnownMaps:
     Example:
         >>> import dataclasses
         >>> import slipmap
+        >>> from slipmap.models.measurements import KnownMaps
         >>> dataset, truth = slipmap.simulated_hammer(fit=1, heldout=0)
-        >>> known = slipmap.KnownMaps(truth.mass[0], truth.mu[0], mass_spread=0.01, friction_spread=0.05)
+        >>> known = KnownMaps(truth.mass[0], truth.mu[0], mass_spread=0.01, friction_spread=0.05)
         >>> dataclasses.replace(dataset, known=known).known.complete
         True
     """

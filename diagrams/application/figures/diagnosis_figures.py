@@ -47,7 +47,7 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         >>> import slipmap
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=3, heldout=1)
         >>> diagnosis = slipmap.diagnose(dataset, quick=True, draws=99)
-        >>> type(slipmap.gain_figure(diagnosis)).__name__
+        >>> type(slipmap.figures.gain_figure(diagnosis)).__name__
         'Figure'
     """
     candidates = diagnosis.candidates

@@ -45,7 +45,7 @@ def effect_figure(effect: Effect) -> Figure:
     Example:
         >>> import slipmap
         >>> (tilt,) = slipmap.effects_named(["table_tilt"])
-        >>> type(slipmap.effect_figure(tilt)).__name__
+        >>> type(slipmap.figures.effect_figure(tilt)).__name__
         'Figure'
     """
     grid = _brick()

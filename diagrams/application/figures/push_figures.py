@@ -192,7 +192,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
         >>> import slipmap
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
         >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
-        >>> type(slipmap.error_figure([slipmap.compare(dataset, belief)])).__name__
+        >>> type(slipmap.figures.error_figure([slipmap.compare(dataset, belief)])).__name__
         'Figure'
     """
     first = comparisons[0]
@@ -270,7 +270,7 @@ def measured_figure(dataset: PushDataset) -> Figure:
     Example:
         >>> import slipmap
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=0)
-        >>> len(slipmap.measured_figure(dataset).axes)
+        >>> len(slipmap.figures.measured_figure(dataset).axes)
         3
     """
     places = np.unique(np.linspace(0, len(dataset.trials) - 1, _MOST_DRAWN).astype(int))

@@ -242,7 +242,7 @@ def table_figure(
         >>> import slipmap
         >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
         >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
-        >>> type(slipmap.table_figure(slipmap.compare(dataset, belief))).__name__
+        >>> type(slipmap.figures.table_figure(slipmap.compare(dataset, belief))).__name__
         'Figure'
     """
     field = _on_table(comparison, quantity)

@@ -88,7 +88,7 @@ def draw_outline(
         >>> import matplotlib.pyplot as plt
         >>> grid, _ = slipmap.hammer()
         >>> axes = plt.figure().add_subplot()
-        >>> slipmap.draw_outline(axes, grid, [0.1, 0.0, 0.5])
+        >>> slipmap.figures.draw_outline(axes, grid, [0.1, 0.0, 0.5])
         >>> len(axes.patches)
         1
     """
@@ -141,7 +141,7 @@ def draw_cells(
         >>> import matplotlib.pyplot as plt
         >>> grid, truth = slipmap.hammer()
         >>> axes = plt.figure().add_subplot()
-        >>> cells = slipmap.draw_cells(axes, grid, truth.mu[0])
+        >>> cells = slipmap.figures.draw_cells(axes, grid, truth.mu[0])
         >>> len(cells.get_paths()) == len(grid)
         True
     """

@@ -103,10 +103,11 @@ def diagnose_together(
     Example:
         >>> import dataclasses
         >>> import slipmap
+        >>> from slipmap.models.inference.diagnosis.several import diagnose_together
         >>> first, again = (slipmap.simulated_hammer(seed=s, fit=3, heldout=2)[0] for s in (1, 2))
         >>> again = dataclasses.replace(again, name="again")
         >>> tilt = slipmap.effects_named(["table_tilt"])
-        >>> slipmap.diagnose_together([first, again], effects=tilt).effects
+        >>> diagnose_together([first, again], effects=tilt).effects
         ()
     """
     check_together(datasets, apart)
@@ -145,9 +146,10 @@ def fit_together(
     Example:
         >>> import dataclasses
         >>> import slipmap
+        >>> from slipmap.models.inference.diagnosis.several import fit_together
         >>> first, again = (slipmap.simulated_hammer(seed=s, fit=2, heldout=1)[0] for s in (1, 2))
         >>> again = dataclasses.replace(again, name="again")
-        >>> found = slipmap.fit_together([first, again], ["table_tilt"], hypotheses=2)
+        >>> found = fit_together([first, again], ["table_tilt"], hypotheses=2)
         >>> [one.belief.dataset for one in found.learned]
         ['hammer', 'again']
     """

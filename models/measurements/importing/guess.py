@@ -63,10 +63,10 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
 
     Example:
         >>> import pathlib, tempfile
-        >>> import slipmap
+        >>> from slipmap.models.measurements.importing import guess_setup
         >>> file = pathlib.Path(tempfile.mkdtemp()) / "push.csv"
         >>> _ = file.write_text("t,block_x,block_y,block_yaw\\n0,0.1,0.2,0\\n0.01,0.1,0.2,0\\n")
-        >>> print(slipmap.guess_setup(file).splitlines()[6])
+        >>> print(guess_setup(file).splitlines()[6])
           angle: block_yaw
     """
     paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
