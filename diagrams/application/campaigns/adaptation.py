@@ -7,13 +7,14 @@ brought to the edge, grasped and lifted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean, share
-from slipmap.diagrams.application.campaigns.whole_procedure import FATES, taken
+from slipmap.diagrams.application.campaigns.methods_compared import FETCH_FATES, taken
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, mean, share
 from slipmap.diagrams.station.hidden_effects import (
     HiddenEffectsConfig,
     SensorLatency,
@@ -23,9 +24,6 @@ from slipmap.diagrams.station.hidden_effects import (
     ViscousFriction,
 )
 from slipmap.diagrams.station.scenario import Scenario
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ROBOTS = ("adapting", "plain")  # how the robot runs: with or without `--adapt`
 NOTHING = "nothing"
@@ -57,7 +55,7 @@ NEXT = 5  # number of pushes after the adoption that count
 
 
 def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:
-    """Let the robot fetch an object; see `whole_procedure`.
+    """Let the robot fetch an object; see `taken`.
 
     Args:
         hidden: one of `HIDDEN`.
@@ -169,7 +167,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         f"Another effect counts as equivalent if it lowers the error of the next {NEXT} pushes to {FELL:.0%}"
         " or less; where nothing is hidden, `none` is right. Only pushes towards the edge are counted.",
         {"hidden": document},
-        lambda: [_figure(title, held)],
+        lambda: [figures.shares_figure(title, held, {})],
     )
 
 
@@ -178,13 +176,9 @@ def _count(results: Sequence[dict[str, Any]], fate: str) -> int:
 
 
 def _fates(results: Sequence[dict[str, Any]]) -> str:
-    return ", ".join(f"{_count(results, fate)} {fate}" for fate in FATES if _count(results, fate)) or "–"
-
-
-def _figure(title: str, held: dict[str, dict[str, Estimate]]) -> Figure:
-    from slipmap.diagrams.application.figures.study_figures import shares_figure
-
-    return shares_figure(title, held, {})
+    return (
+        ", ".join(f"{_count(results, fate)} {fate}" for fate in FETCH_FATES if _count(results, fate)) or "–"
+    )
 
 
 ADAPTATION = experiments.Experiment(

@@ -8,13 +8,14 @@ compared with the belief's regions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import ALL
-from slipmap.diagrams.application.campaigns.trials import TrialOutcome, share
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, identified, world_of
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
@@ -27,9 +28,6 @@ from slipmap.planners.pregrasp import bring_to_edge
 from slipmap.planners.push_decisions import ObjectFell, PushNotMade
 from slipmap.planners.robust_push import plan_push
 from slipmap.planners.settings import PregraspSettings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PLACES = ("table", "rim_at_end", "over_rim")
 """Kinds of pushes: the table carries all cells before and after; not all after; not all before."""
@@ -153,7 +151,9 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         " with the same belief share its errors, so the intervals, which treat them as independent, are too"
         f" narrow. {lost} pushes after which the object did not lie on the table are left out.",
         {"coverage": found, "lost": lost},
-        lambda: _figure(pushes),
+        lambda: [
+            figures.shares_figure("Pushes that end inside the belief's 95 % region", _inside(pushes), {})
+        ],
     )
 
 
@@ -166,10 +166,9 @@ def _cells(row: dict[str, Any]) -> list[str]:
     return [str(count), *inside, surest, *medians]
 
 
-def _figure(pushes: dict[str, list[dict[str, Any]]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.study_figures import shares_figure
-
-    inside = {
+def _inside(pushes: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Estimate]]:
+    """Share of pushes that end inside the 95 % region, by object and place."""
+    return {
         name: {
             f"{place.replace('_', ' ')}": share(sum(p["rarity"] >= 0.05 for p in here), len(here))
             for place in PLACES
@@ -177,7 +176,6 @@ def _figure(pushes: dict[str, list[dict[str, Any]]]) -> list[Figure]:
         }
         for name, of_object in pushes.items()
     }
-    return [shares_figure("Pushes that end inside the belief's 95 % region", inside, {})]
 
 
 COVERAGE = experiments.Experiment("coverage", 20, trial, _summary, {}, TRIALS_A_BELIEF)

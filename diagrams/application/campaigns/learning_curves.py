@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, mean
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, world_of
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Trial
 from slipmap.planners.pregrasp import explore
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PUSHES = 5  # most pushes to learn from, as many as in the paper
 CHECKS = 10  # random pushes of other placements that test a belief
@@ -113,14 +111,11 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.
         count = max(map(len, curves[name].values()))
         tables.append(experiments.TableText(f"{title}: {name}, {count} trials", columns, rows))
     return experiments.Summary(
-        tables, remark, {"curves": experiments.as_json(means), "unit": "m"}, lambda: _figure(title, means)
+        tables,
+        remark,
+        {"curves": experiments.as_json(means), "unit": "m"},
+        lambda: [figures.curves_figure(title, means)],
     )
-
-
-def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.study_figures import curves_figure
-
-    return [curves_figure(title, means)]
 
 
 FIGURE_3 = experiments.Experiment("fig3", 10, strategies_trial, _strategy_summary, {"strategy": STRATEGIES})

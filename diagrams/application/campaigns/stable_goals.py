@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
@@ -17,9 +18,6 @@ from slipmap.planners.goals import Graspable
 from slipmap.planners.pregrasp import planning_belief
 from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.settings import METHODS, GoalSettings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _POSES = 10  # poses of an object in a trial
 _DRAWS = 10  # draws of the deterministic method from one belief
@@ -106,7 +104,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         for low, high in experiments.STABLE_GOALS.values()
     ]
     rows.append(["paper", *paper, "–"])
-    bins = _reliability(everything)
+    bins, marks = _reliability(everything), {name: experiments.STABLE_GOALS for name in precision}
     return experiments.Summary(
         [
             experiments.TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
@@ -119,7 +117,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             "reliability": [{"stated": stated, **estimate.to_json()} for stated, estimate in bins],
             "paper": {method: list(ends) for method, ends in experiments.STABLE_GOALS.items()},
         },
-        lambda: _figure(precision, bins),
+        lambda: [
+            figures.shares_figure("Stable among the goals chosen", precision, marks),
+            figures.reliability_figure("Probability of staying on the table", {"all objects": bins}),
+        ],
     )  # fmt: skip
 
 
@@ -142,16 +143,6 @@ def _reliability(results: Sequence[dict[str, Any]]) -> list[tuple[float, Estimat
     return [
         (float(stated[places == k].mean()), share(int(stayed[places == k].sum()), int((places == k).sum())))
         for k in np.unique(places)
-    ]
-
-
-def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, Estimate]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.study_figures import reliability_figure, shares_figure
-
-    marks = {name: experiments.STABLE_GOALS for name in precision}
-    return [
-        shares_figure("Stable among the goals chosen", precision, marks),
-        reliability_figure("Probability of staying on the table", {"all objects": bins}),
     ]
 
 

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.diagrams.application.campaigns.methods_compared import (
+    EDGE_FATES,
+    brought_to_edge,
+    compare_methods,
+    result_of,
+)
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, mean
 from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
 from slipmap.models.geometry import turned_to
@@ -26,9 +31,6 @@ from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.paper_notation import add
 from slipmap.planners.pregrasp import Pregrasp
 from slipmap.planners.robust_push import NEGLIGIBLE
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TILT = 2.0  # slope of the table, deg
 MODELS = ("without the tilt", "with the tilt")  # the models compared
@@ -95,18 +97,15 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         [
             compared.success_table(f"{title}, %", {}),
             experiments.TableText("Mean error of predicted ends, mm", ("object", *MODELS), off),
-            compared.ways_table("Pushes, and how trials ended", "pushes, mean", FATES),
+            compared.ways_table("Pushes, and how trials ended", "pushes, mean", EDGE_FATES),
         ],
         "Both models learn from the same five pushes. The error of a trial is the mean over its pushes.",
         {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
-        lambda: [_error_figure(errors), *compared.figures(title, {})],
+        lambda: [
+            figures.means_figure("Error of predicted ends", errors, 1e3, "mean error, mm"),
+            *compared.figures(title, {}),
+        ],
     )
-
-
-def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:
-    from slipmap.diagrams.application.figures.study_figures import means_figure
-
-    return means_figure("Error of predicted ends", errors, 1e3, "mean error, mm")
 
 
 TILTED_TABLE = experiments.Experiment(

@@ -20,7 +20,13 @@ from .residual_figures import (
     residual_figures as residual_figures,
     table_figure as table_figure,
 )
-from .study_figures import calibration_figure as calibration_figure
+from .study_figures import (
+    calibration_figure as calibration_figure,
+    curves_figure as curves_figure,
+    means_figure as means_figure,
+    reliability_figure as reliability_figure,
+    shares_figure as shares_figure,
+)
 from .style import (
     draw_cells as draw_cells,
     draw_outline as draw_outline,

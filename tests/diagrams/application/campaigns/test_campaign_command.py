@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from schemas import assert_as_described, assert_json_as_described, validator
 
-from slipmap.diagrams.application.campaigns import adaptation, pregrasp_success, tilted_table, whole_procedure
+from slipmap.diagrams.application.campaigns import adaptation, methods_compared
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
-from slipmap.diagrams.application.campaigns.pregrasp_success import near
+from slipmap.diagrams.application.campaigns.methods_compared import near
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome, write_outcome
 from slipmap.diagrams.application.command_line import run
 from slipmap.planners.pregrasp import METHODS
@@ -167,9 +167,9 @@ def test_every_fate_is_described() -> None:
         for branch in validator("campaign").schema["allOf"]
     }
     for figure, fates in (
-        ("fig6", pregrasp_success.FATES),
-        ("fig7", whole_procedure.FATES),
-        ("tilt", tilted_table.FATES),
+        ("fig6", methods_compared.EDGE_FATES),
+        ("fig7", methods_compared.FETCH_FATES),
+        ("tilt", methods_compared.EDGE_FATES),
     ):
         assert described[figure]["additionalProperties"]["propertyNames"]["enum"] == list(fates)
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from slipmap.diagrams.application.campaigns import whole_procedure
+from slipmap.diagrams.application.campaigns import methods_compared
 from slipmap.diagrams.application.campaigns.experiments import experiment_of
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome
 from slipmap.diagrams.loops import pregrasp_loop as pregrasp_run
@@ -59,7 +59,7 @@ def test_ctrl_c_is_no_result_of_the_whole_procedure(monkeypatch, late: bool) -> 
 
     monkeypatch.setattr(pregrasp_run, "pregrasp", stopped)
     with pytest.raises(KeyboardInterrupt):
-        whole_procedure.trial(seed=0, object_name="hammer", method="true")
+        methods_compared.fetch_trial(seed=0, object_name="hammer", method="true")
 
 
 def test_a_run_that_fails_gave_up(monkeypatch) -> None:
@@ -67,5 +67,5 @@ def test_a_run_that_fails_gave_up(monkeypatch) -> None:
         raise ExplorationFailed("nothing was recorded: lost")
 
     monkeypatch.setattr(pregrasp_run, "pregrasp", fails)
-    told = whole_procedure.trial(seed=0, object_name="hammer", method="true")
+    told = methods_compared.fetch_trial(seed=0, object_name="hammer", method="true")
     assert (told["fate"], told["reason"]) == ("gave up", "nothing was recorded: lost")
