@@ -27,7 +27,7 @@ SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
-    "machine:doctor", "demo", "example", "explore", "explore:pregrasp", "record:station", "record",
+    "machine:doctor", "demo", "demo:example", "explore", "explore:pregrasp", "record:station", "record",
     "record:replay", "describe_object", "datasets:import_files", "datasets:check", "identify",
     "compare:predict", "beliefs:view", "compare", "compare:diagnose", "identify:fit", "effects",
     "beliefs:export", "studies:calibrate", "studies:explore_study", "studies:campaign",

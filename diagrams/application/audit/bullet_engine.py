@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pybullet as p
 
-from slipmap.diagrams.application.audit.engine import AWAY, EngineScene
+from slipmap.diagrams.application.audit.engines import AWAY, EngineScene
 from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails, set_foot
 from slipmap.models.physics.cell_grid import FloatArray
 

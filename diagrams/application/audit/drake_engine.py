@@ -27,7 +27,7 @@ from pydrake.multibody.tree import PrismaticJoint, RotationalInertia, SpatialIne
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.application.audit.engine import EngineScene
+from slipmap.diagrams.application.audit.engines import EngineScene
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 5e-4  # m, radius

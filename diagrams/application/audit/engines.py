@@ -1,21 +1,314 @@
-"""Engines by name: MuJoCo, Bullet and Drake with settings, or a class in a user's own file."""
+"""Engines that are audited: their interface, the reference engine, the built-in ones, and what they push.
+
+An engine is a class. The audit makes one instance for each scene and direction of gravity, places the object
+with `reset`, and advances with `step`; it only observes `pose`.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from slipmap.diagrams.application.audit.engine import Subject
-from slipmap.models.effects.effect import failure
+from slipmap.models.effects.effect import Effect, failure
 from slipmap.models.files import BadInput
+from slipmap.models.geometry import placed
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.objects.footprints import convex_pieces
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.stepper import Stepper
+
+AWAY = np.array([8.0, 8.0])  # finger position where it must not touch, m
+SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02  # s
+GRAVITY = 9.81
+LEVEL = np.array([0.0, 0.0, -GRAVITY])
+REST = np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class EngineScene:
+    """A flat rigid object on an infinite level table, and a round finger.
+
+    Each cell rests on the table with its own weight m_i g, and the table resists its motion with mu_i m_i g.
+
+    Attributes:
+        grid: `grid.centers` (n, 2) and `grid.width` of the cells, `grid.exterior` (k, 2) of the outline,
+            object frame, m.
+        mass: (n,) of the cells, kg, each a square plate.
+        mu: (n,) friction coefficients between the cells and the table.
+        mu_finger: friction coefficient between outline and finger.
+        finger_radius: m.
+    """
+
+    grid: CellGrid
+    mass: FloatArray
+    mu: FloatArray
+    mu_finger: float
+    finger_radius: float
+
+    @property
+    def pieces(self) -> list[FloatArray]:
+        """Corners (k, 2) of convex polygons that together form the footprint, object frame, m."""
+        return [np.asarray(piece.exterior.coords)[:-1] for piece in convex_pieces(self.grid.polygon)]
+
+    @property
+    def maps(self) -> Maps:
+        """The maps as one hypothesis of the model."""
+        return Maps(self.mass, self.mu, np.array([self.mu_finger]))
+
+    @property
+    def center_of_mass(self) -> FloatArray:
+        """(2,) centre of mass, object frame, m."""
+        return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
+
+    @property
+    def mean_arm(self) -> float:
+        """Mean distance of the mass from its centre, m."""
+        return float(
+            self.mass @ np.linalg.norm(self.grid.centers - self.center_of_mass, axis=1) / self.mass.sum()
+        )
+
+    @property
+    def moment_of_inertia(self) -> float:
+        """Moment of inertia about the vertical axis through the centre of mass, kg m²."""
+        away = self.grid.centers - self.center_of_mass
+        return float(self.mass @ ((away**2).sum(axis=1) + self.grid.width**2 / 6))
+
+
+class Engine(Protocol):
+    """One object on one table in a physics engine.
+
+    Attributes:
+        dt: time step, s, of the class. The audit also runs a subclass with half of it.
+
+    Args:
+        scene: what is simulated.
+        gravity: (3,) acceleration, z up, m/s². It may be tilted.
+    """
+
+    dt: ClassVar[float]
+
+    def __init__(self, scene: EngineScene, gravity: FloatArray) -> None: ...
+
+    def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
+        """Place the object on the table.
+
+        Args:
+            pose: (3,) x, y, θ of the object frame, world, m and rad.
+            velocity: (3,) of the object frame's origin, world, m/s, and rad/s.
+            tip: (2,) centre of the finger, world, m; far away where it must not touch.
+        """
+
+    def step(
+        self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
+    ) -> FloatArray:
+        """Advance by dt while the finger, which nothing can stop, moves from `tip` to `next_tip`.
+
+        Returns:
+            (2,) force of the finger on the object, world, N.
+        """
+
+    def pose(self) -> FloatArray:
+        """(3,) x, y, θ of the object frame, world, m and rad."""
+
+
+class CoulombEngine:
+    """The model itself; a subclass may add effects for the audit to find."""
+
+    dt: ClassVar[float] = 2e-3
+    effects: ClassVar[Sequence[Effect]] = ()
+    parameters: ClassVar[Sequence[float]] = ()  # of the effects
+
+    def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
+        self._scene, self._gravity = scene, np.asarray(gravity, dtype=float)
+        self._stepper = Stepper(
+            scene.grid, scene.finger_radius, self.dt, self.effects, gravity=-float(self._gravity[2])
+        )
+        maps = scene.maps
+        self._models = self._stepper.models(
+            Maps(maps.mass, maps.mu, maps.mu_finger, np.array([self.parameters], dtype=float))
+        )
+
+    def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
+        """See `Engine`."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        vx, vy, omega = velocity
+        twist = np.array([[c * vx + s * vy, c * vy - s * vx, omega]])
+        self._state = self._stepper.start(self._models, np.asarray(pose, dtype=float), twist)
+
+    def step(
+        self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
+    ) -> FloatArray:
+        """See `Engine`."""
+        along = self._scene.mass.sum() * self._gravity[:2]
+        wrench = np.array([*along, *self._scene.center_of_mass, 0.0])
+        self._state, _ = self._stepper.step(
+            self._models, self._state, wrench=wrench, tip=np.array([tip, next_tip])
+        )
+        return np.asarray(self._state[0, 6:8])
+
+    def pose(self) -> FloatArray:
+        """See `Engine`."""
+        return np.asarray(self._state[0, :3])
+
+
+class Subject:
+    """An engine under audit.
+
+    Args:
+        name: as given by the user.
+        kind: its class, see `Engine`.
+        full_dt: the engine's own step where `kind` has half of it, s.
+
+    Attributes:
+        dt: its time step, s.
+
+    Raises:
+        BadInput: the class lacks a part of `Engine`.
+    """
+
+    def __init__(self, name: str, kind: Any, full_dt: float | None = None) -> None:
+        self.name, self._kind = name, kind
+        missing = [part for part in ("reset", "step", "pose") if not callable(getattr(kind, part, None))]
+        if missing:
+            raise BadInput(f"engine {name}: it has no {' and no '.join(missing)}(); see docs/audit.md")
+        dt = getattr(kind, "dt", None)
+        if not (isinstance(dt, int | float) and SHORTEST_STEP <= (full_dt or dt) <= LONGEST_STEP):
+            raise BadInput(
+                f"engine {name}: its time step `dt` must lie between {SHORTEST_STEP:g} and {LONGEST_STEP:g}"
+                f" s, got {'none' if dt is None else repr(dt)}"
+            )
+        self.dt = float(dt)
+        self.full_dt = full_dt or self.dt
+
+    def halved(self) -> Subject:
+        """The same engine at half its time step."""
+        return Subject(self.name, type(self._kind.__name__, (self._kind,), {"dt": self.dt / 2}), self.dt)
+
+    def lay(self, scene: EngineScene, gravity: FloatArray = LEVEL) -> Laid:
+        """An engine with a scene, under a gravity (3,), m/s².
+
+        Raises:
+            BadInput: it cannot be made, or it does not use the step of its class.
+        """
+        engine = self.ask("__init__", self._kind, scene, np.array(gravity, dtype=float))
+        if getattr(engine, "dt", None) != self.dt:
+            raise BadInput(
+                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so it cannot run at"
+                " half its step; make dt an attribute of the class, and use self.dt in the engine"
+            )
+        return Laid(self, engine, scene)
+
+    def ask(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a method of the engine.
+
+        Raises:
+            BadInput: it fails; the message names method, file and line.
+        """
+        try:
+            return function(*arguments)
+        except (BadInput, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # as by sys.exit()
+            raise BadInput(f"engine {self.name}: {method}() failed in {failure(error)}") from error
+
+    def ask_numbers(
+        self, method: str, function: Callable[..., Any], length: int, *arguments: Any
+    ) -> FloatArray:
+        """Call a method of the engine that returns `length` numbers.
+
+        Raises:
+            BadInput: it fails, or returns something else.
+        """
+        value = self.ask(method, function, *arguments)
+        try:
+            numbers = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.shape != (length,) or not np.isfinite(numbers).all():
+            raise BadInput(
+                f"engine {self.name}: {method}() must return {length} finite numbers, got {value!r:.80}"
+            )
+        return numbers
+
+
+class Laid:
+    """An engine with a scene, made by `Subject.lay`."""
+
+    def __init__(self, subject: Subject, engine: Engine, scene: EngineScene) -> None:
+        self._subject, self._engine, self._scene = subject, engine, scene
+
+    def push(self, tip: FloatArray, pose: FloatArray, velocity: FloatArray = REST) -> FloatArray:
+        """Poses (T + 1, 3) of the object frame in the world, with continuous angles, along a finger path.
+
+        Args:
+            tip: (T + 1, 2) centre of the finger at the ends of steps, world, m.
+            pose, velocity: (3,) initial values of the object frame, world.
+
+        Raises:
+            BadInput: a method fails, or returns anything but finite numbers.
+        """
+        subject, engine = self._subject, self._engine
+        pose, velocity = np.array(pose, dtype=float), np.array(velocity, dtype=float)
+        speed = np.gradient(tip, subject.dt, axis=0)
+        subject.ask("reset", engine.reset, pose.copy(), velocity.copy(), tip[0].copy())
+        poses = [subject.ask_numbers("pose", engine.pose, 3)]
+        if np.abs(poses[0] - pose)[:2].max() > 1e-3:
+            raise BadInput(
+                f"engine {subject.name}: after reset() at x, y, θ = {pose.round(4).tolist()}, pose() returns"
+                f" {poses[0].round(4).tolist()}; both must be of the object frame in the world, m and rad"
+            )
+        for k in range(len(tip) - 1):
+            path = (tip[k].copy(), speed[k].copy(), tip[k + 1].copy(), speed[k + 1].copy())
+            subject.ask_numbers("step", engine.step, 2, *path)
+            poses.append(subject.ask_numbers("pose", engine.pose, 3))
+        result = np.array(poses)
+        result[:, 2] = pose[2] + np.unwrap(result[:, 2] - pose[2])
+        return result
+
+    def slide(self, velocity: FloatArray, duration: float) -> FloatArray:
+        """(T + 1, 3) centre of mass and angle in the world of a released object; row k is at time k dt.
+
+        Args:
+            velocity: (3,) of the centre of mass, world, m/s, and rad/s.
+            duration: s.
+        """
+        center = self._scene.center_of_mass
+        x, y, omega = velocity
+        origin = np.array([x + omega * center[1], y - omega * center[0], omega])
+        steps = round(duration / self._subject.dt)
+        poses = self.push(np.tile(AWAY, (steps + 1, 1)), REST, origin)
+        return np.column_stack([placed(center, poses), poses[:, 2]])
+
+
+OUTLINE = 1e-3 * np.array([[-81, -63], [81, -63], [81, -9], [-27, -9], [-27, 63], [-81, 63]])
+"""(6, 2) corners of the L, m; cut into 39 cells of 18 mm."""
+
+MU, MU_FINGER, FINGER_RADIUS = 0.35, 0.25, 6e-3
+_CELLS = 39
+_FOOT_ABOVE = -0.018  # m; cells above this y are of the other material
+
+
+def plain_scene() -> EngineScene:
+    """A uniform object with friction `MU`."""
+    grid = cells_from_polygon(OUTLINE, count=_CELLS)
+    n = len(grid)
+    return EngineScene(grid, np.full(n, 1.0 / n), np.full(n, MU), MU_FINGER, FINGER_RADIUS)
+
+
+def two_material_scene() -> EngineScene:
+    """An L with a light rough leg on a heavy smooth foot."""
+    grid = cells_from_polygon(OUTLINE, count=_CELLS)
+    leg = grid.centers[:, 1] > _FOOT_ABOVE + 1e-6
+    return EngineScene(grid, np.where(leg, 0.014, 0.034), np.where(leg, 0.5, 0.28), MU_FINGER, FINGER_RADIUS)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from slipmap.diagrams.application.audit.engine import AWAY, EngineScene
+from slipmap.diagrams.application.audit.engines import AWAY, EngineScene
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 2e-3  # m, radius

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from slipmap.diagrams.application.audit.engine import (
+from slipmap.diagrams.application.audit.engines import (
     GRAVITY,
     LEVEL,
     MU,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from slipmap.diagrams.application.audit import engines, probes
-from slipmap.diagrams.application.audit.engine import EngineScene, Subject, two_material_scene
+from slipmap.diagrams.application.audit.engines import EngineScene, Subject, two_material_scene
 from slipmap.diagrams.application.audit.probes import Measure, measures
 from slipmap.models.effects.effect import Effect, Scene, bounds
 from slipmap.models.effects.library import LIBRARY

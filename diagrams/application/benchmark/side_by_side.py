@@ -7,9 +7,15 @@ import numba
 import numpy as np
 
 from slipmap.diagrams.application.benchmark import plain_numpy
-from slipmap.diagrams.application.benchmark.growth import measure_growth
 from slipmap.diagrams.application.benchmark.other_engines import run_bullet, run_mujoco
-from slipmap.diagrams.application.benchmark.scene import STEP, Outcome, Scene, make_scene, median_time
+from slipmap.diagrams.application.benchmark.scene import (
+    STEP,
+    Outcome,
+    Scene,
+    make_scene,
+    measure_growth,
+    median_time,
+)
 from slipmap.models.progress import Progress, silent
 
 

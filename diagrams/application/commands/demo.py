@@ -1,4 +1,4 @@
-"""`slipmap demo`: the whole pipeline, on pushes that it simulates itself."""
+"""`slipmap demo`, the whole pipeline on simulated pushes; `slipmap example`, pushes to try commands on."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
-from slipmap.diagrams.application.outputs import lock_folder, make_folder
+from slipmap.diagrams.application.outputs import check_folder, lock_folder, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
-from slipmap.models.files import together, write_json, writing
+from slipmap.models.files import BadInput, together, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification
@@ -105,3 +105,27 @@ def _show_comparison(result: Identification, comparison: list[dict[str, Any]]) -
     )
     inside = sum(entry["inside"] for entry in comparison)
     click.echo(f"{inside} of {len(comparison)} true values lie inside their 90 % intervals.")
+
+
+@click.command()
+@options.path_option(
+    "-o", "--output", "folder", default="tilted", metavar="DIR", about="New folder for the pushes.",
+)  # fmt: skip
+def example(folder: Path) -> None:
+    """Write sample pushes of a block with a hidden effect.
+
+    The pushes are simulated on a table that is not level, which the model does not know. Learn from them, see
+    the model fail, find out why, and repair it.
+    """
+    from slipmap.diagrams.application.demonstration import tilted_block
+    from slipmap.models.measurements import write_dataset
+    from slipmap.models.measurements.reading import DESCRIPTION_FILE
+
+    following = f"`slipmap identify {options.typed([folder])} -o belief.npz`"
+    if (folder / DESCRIPTION_FILE).exists():
+        raise BadInput(f"{folder}: holds pushes already; continue with {following}, or name another folder")
+    check_folder(folder.absolute().parent, folder)
+    with writing(folder):
+        write_dataset(tilted_block(), folder)
+    note(f"pushes: {folder}")
+    note(f"Next: {following}.")

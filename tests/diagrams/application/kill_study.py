@@ -108,7 +108,7 @@ if "SLIPMAP_KILL_PLAN" in os.environ:
 """
 SMALL = "camera: {width: 480, height_pixels: 360, rate: 5.0}\nsimulation: {time_step: 0.005}\n"
 COARSE = """
-from slipmap.diagrams.application.audit.engine import CoulombEngine
+from slipmap.diagrams.application.audit.engines import CoulombEngine
 
 class Coarse(CoulombEngine):
     dt = 4e-3

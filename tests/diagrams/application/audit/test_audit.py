@@ -11,7 +11,7 @@ import pytest
 from schemas import assert_as_described
 
 from slipmap.diagrams.application.audit import engines, probes, standard_pushes
-from slipmap.diagrams.application.audit.engine import GRAVITY, LEVEL, MU, CoulombEngine, Subject, plain_scene
+from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, CoulombEngine, Subject, plain_scene
 from slipmap.diagrams.application.audit.probes import measures
 from slipmap.diagrams.application.audit.procedure import explain, push_all
 from slipmap.diagrams.application.command_line import run
@@ -103,7 +103,7 @@ def test_the_effect_that_is_hidden_explains_the_pushes() -> None:
 
 
 ENGINE = """
-from slipmap.diagrams.application.audit.engine import CoulombEngine
+from slipmap.diagrams.application.audit.engines import CoulombEngine
 
 class Engine(CoulombEngine):
     dt = 4e-3

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.audit import probes
-from slipmap.diagrams.application.audit.engine import GRAVITY, MU, plain_scene
-from slipmap.diagrams.application.audit.engines import BUILT_IN, find_engine
+from slipmap.diagrams.application.audit.engines import BUILT_IN, GRAVITY, MU, find_engine, plain_scene
 from slipmap.diagrams.application.audit.probes import measures
 
 
