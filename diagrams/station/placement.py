@@ -1,20 +1,37 @@
-"""Checks that an object can be explored where it lies: on the table, in reach of the finger, in view."""
+"""Checks, before anything moves, that an object can be explored where it lies: on the table, in reach of the
+finger, in view; and that a simulated camera can detect it and a simulated arm move it.
+"""
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import shapely
+from scipy.special import erf
 from shapely.affinity import rotate, translate
-from shapely.geometry import Polygon
+from shapely.geometry import Polygon, box
 
 from slipmap.diagrams.perception.camera import NEAREST
+from slipmap.diagrams.perception.cell_perception import FRAMES
+from slipmap.diagrams.perception.sight import ArmHulls, view_from
+from slipmap.diagrams.station.arm import HOME, lone_arm
+from slipmap.diagrams.station.sliding_object import own_frictions
 from slipmap.models.objects.meshes import DOUBTFUL_EXTENT
 from slipmap.models.objects.true_object import TrueObject
-from slipmap.models.perception.object_mask import LEAST_AREA, LEAST_HEIGHT
-from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.perception.first_look import ARM_NEAR
+from slipmap.models.perception.object_mask import LEAST_AREA, LEAST_HEIGHT, draw_hulls
+from slipmap.models.perception.pinhole_camera import LEAST_SHARE, NARROWEST, View, pixel_size
 
 if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
 
+LONGEST_LOOK = 60.0  # longest time that the pictures of the first look may take, s
+_STRONGEST = 137.0  # N; the arm's payload, 14 kg
+# Blocks, sheets and cans are found in all pictures with noise of 1.6 mm and 0.4 pixels, in two of three with
+# 2.2 mm or 1 pixel, in none with 3.2 mm or 2 pixels; at a size of 67 pixels in one of ten, of 30 in none.
+_MOST_NOISE = 2.8e-3  # m, standard deviation of depth at the table
+_MOST_JITTER = 1.8  # pixels
+_FEWEST_PIXELS = 50
 _CLEARANCE = 0.02  # m, between the moving finger and what it passes over
 
 
@@ -25,8 +42,7 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
         ValueError: it does not lie on the table; the finger cannot pass over it, or would do so in a push;
             the camera does not see it. The text has the numbers.
     """
-    x, y, degrees = scenario.object.pose
-    lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
+    lies = _lies(scenario, thing)
     _check_table(scenario, thing, lies)
     _check_size(thing, lies)
     _check_finger(scenario, thing)
@@ -100,7 +116,7 @@ def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> Non
         )
     corners = np.asarray(lies.exterior.coords)
     top = np.column_stack([corners, np.full(len(corners), highest)])
-    pixels, _ = View(camera.intrinsics, camera.X_WC.GetAsMatrix4()).project(top)
+    pixels, _ = _view(scenario).project(top)
     size = np.array([camera.width, camera.height_pixels])
     outside = (pixels < 0.0) | (pixels > size - 1.0)
     if outside.any():
@@ -111,3 +127,117 @@ def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> Non
             f" shows {2 * middle[0]:.2f} m by {2 * middle[1]:.2f} m about ({camera.position[0]:g},"
             f" {camera.position[1]:g}) m; check camera.position, height, yaw and fov_y"
         )
+
+
+def check_feasible(scenario: "Scenario", thing: TrueObject) -> None:
+    """Refuse an object that cannot be detected or moved in a simulated cell.
+
+    Raises:
+        ValueError: its friction cannot be simulated, sliding it takes more force than the arm has, pictures
+            are too infrequent, too noisy or too coarse or show too little of the table, or the arm hides the
+            object. The text has the numbers.
+    """
+    own_frictions(thing, scenario.table.friction)
+    force = float(thing.mass @ thing.mu) * scenario.gravity
+    if force > _STRONGEST:
+        raise ValueError(
+            f"object {thing.name} takes {force:.0f} N to slide ({thing.total_mass:.3g} kg at"
+            f" {scenario.gravity:g} m/s²);"
+            f" the arm can push with at most {_STRONGEST:.0f} N"
+        )
+    lies = _lies(scenario, thing)
+    _check_pictures(scenario, thing, lies)
+    _check_table_seen(scenario, lies)
+    _check_arm_aside(scenario, thing, lies)
+
+
+def _check_pictures(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:
+    camera, noise = scenario.camera, scenario.depth_noise
+    if FRAMES / camera.rate > LONGEST_LOOK:
+        raise ValueError(
+            f"camera.rate: at {camera.rate:g} Hz the {FRAMES} pictures of the first look take"
+            f" {FRAMES / camera.rate:.0f} s;"
+            f" at most {LONGEST_LOOK:.0f} s are allowed, so the rate must be at least"
+            f" {FRAMES / LONGEST_LOOK:g} Hz"
+        )
+    depth = _noise_of_depth(scenario)
+    if depth > _MOST_NOISE:
+        raise ValueError(
+            f"depth_noise: at the table, {camera.height:g} m below the camera, depth scatters by"
+            f" {1e3 * depth:.1f} mm;"
+            f" objects can be detected up to {1e3 * _MOST_NOISE:g} mm: lower axial_floor, axial_growth"
+            " or camera.height"
+        )
+    if noise.lateral_jitter > _MOST_JITTER:
+        raise ValueError(
+            f"depth_noise.lateral_jitter: edges scatter by {noise.lateral_jitter:g} pixels; outlines can be"
+            f" detected up to {_MOST_JITTER:g} pixels"
+        )
+    pixel = pixel_size(_view(scenario))
+    if lies.area < _FEWEST_PIXELS * pixel**2:
+        raise ValueError(
+            f"camera: object {thing.name} covers {lies.area / pixel**2:.0f} pixels of {1e3 * pixel:.1f} mm;"
+            " at least"
+            f" {_FEWEST_PIXELS} are needed: use more pixels (camera.width, height_pixels), or a camera that"
+            " is lower or has a narrower view"
+        )
+
+
+def _check_table_seen(scenario: "Scenario", lies: Polygon) -> None:
+    """The table's plane is fitted to readings near it, which must fill enough of the picture."""
+    camera, table, noise = scenario.camera, scenario.table, scenario.depth_noise
+    half = np.array(table.size) / 2
+    top = shapely.Point(0.0, 0.0).buffer(table.radius) if table.shape == "round" else box(*-half, *half)
+    sides = np.array([camera.width, camera.height_pixels]) * pixel_size(_view(scenario)) / 2
+    picture = translate(
+        rotate(box(*-sides, *sides), np.degrees(camera.yaw), origin=(0.0, 0.0)), *camera.position
+    )
+    near = erf(NARROWEST / (np.sqrt(2.0) * max(_noise_of_depth(scenario), 1e-9)))
+    share = float(
+        (top & picture).difference(lies).area / picture.area * near * (1.0 - noise.missing_anywhere)
+    )
+    if share < LEAST_SHARE:
+        raise ValueError(
+            f"camera: readings of the table beside the object, within {1e3 * NARROWEST:.0f} mm of its plane,"
+            f" fill {100 * share:.1f} %"
+            f" of the picture; {100 * LEAST_SHARE:.0f} % are needed: lower the camera, or reduce its noise"
+            " and missing pixels"
+        )
+
+
+def _check_arm_aside(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:
+    """At home the arm must not hide the object, or the first look waits for it for ever."""
+    plant, scene_graph, arm = lone_arm(scenario.arm.models, scenario.execution.finger_radius)
+    view = _view(scenario)
+    blocked = draw_hulls(ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])(HOME), view)
+    corners = np.asarray(lies.exterior.coords)
+    heights = [0.0, float(thing.height.max())]
+    covered = np.zeros(blocked.shape, np.uint8)
+    for height in heights:
+        pixels, _ = view.project(np.column_stack([corners, np.full(len(corners), height)]))
+        cv2.fillPoly(covered, [np.round(pixels).astype(np.int32)], 1)
+    size = 2 * ARM_NEAR + 1
+    hidden = cv2.dilate(covered, np.ones((size, size), np.uint8)).astype(bool) & blocked
+    if hidden.any():
+        x, y, _ = scenario.object.pose
+        raise ValueError(
+            f"object.pose: as the camera sees it, object {thing.name} at x = {x:g} m, y = {y:g} m lies under"
+            " or beside the arm"
+            " at home; move it away from the arm's stand"
+        )
+
+
+def _lies(scenario: "Scenario", thing: TrueObject) -> Polygon:
+    """The object's outline on the table, world, m."""
+    x, y, degrees = scenario.object.pose
+    return translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
+
+
+def _noise_of_depth(scenario: "Scenario") -> float:
+    """Standard deviation of depth at the table, m; rounding to a quantum is not counted."""
+    noise = scenario.depth_noise
+    return float(noise.axial_floor + noise.axial_growth * scenario.camera.height**2)
+
+
+def _view(scenario: "Scenario") -> View:
+    return view_from(scenario.camera.intrinsics, scenario.camera.X_WC.GetAsMatrix4().tobytes())

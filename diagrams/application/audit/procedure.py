@@ -216,13 +216,7 @@ class Audit:
             "price_at_half_step_mm": 1e3 * self.pushed_half.price,
             "defects": [defect.key for defect in self.defects],
             "measures": [
-                {
-                    "key": measure.key, "title": measure.title, "value": measure.value,
-                    "uncertainty": measure.uncertainty, "tolerance": measure.tolerance,
-                    "unit": measure.unit, "named": measure.named,
-                    "sentence": measure.sentence, "effect": measure.effect,
-                }
-                for measure in self.measures
+                vars(measure) | {"named": measure.named} for measure in self.measures
             ],
             "remedies": self.remedies,
             "friction_by_direction": [

@@ -195,7 +195,7 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
         BadInput: the file or the object's name is wrong, or the object cannot be pushed and seen where it
             lies.
     """
-    from slipmap.diagrams.station.placement import check_placement, check_rest
+    from slipmap.diagrams.station.placement import check_feasible, check_placement, check_rest
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
     try:
@@ -215,7 +215,6 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
         check_rest(scenario, thing)
         if simulated:
             from slipmap.diagrams.loops.exploration_loop import check_reach
-            from slipmap.diagrams.station.feasibility import check_feasible
 
             check_feasible(scenario, thing)
             check_reach(scenario, thing)

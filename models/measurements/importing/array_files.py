@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.models.files import UnreadableFile, check_file
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.importing.source import (
-    LARGEST_FILE,
     MOST_NUMBERS,
     Column,
     Source,
+    check_size,
     missing_library,
     tables_of_arrays,
 )
@@ -41,7 +40,7 @@ def read_hdf5(path: Path, where: str) -> list[Source]:
     """Tables of an HDF5 file, named after the paths inside it. Raises DatasetError."""
     import h5py
 
-    _check(path, where)
+    check_size(path, where)
     found: dict[str, FloatArray] = {}
     try:
         with h5py.File(path, "r") as file:
@@ -80,7 +79,7 @@ def _hdf5_items(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[
 
 def read_matlab(path: Path, where: str) -> list[Source]:
     """Tables of a MATLAB file: variables, and fields of structures as `name/field`. Raises DatasetError."""
-    _check(path, where)
+    check_size(path, where)
     with open(path, "rb") as file:
         head = file.read(128)
     if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
@@ -170,7 +169,7 @@ def read_parquet(path: Path, where: str) -> list[Source]:
         from pyarrow import ArrowException, parquet, types
     except ImportError:
         raise missing_library(where, "pyarrow") from None
-    _check(path, where)
+    check_size(path, where)
     columns: dict[str, Column] = {}
     try:
         file = parquet.ParquetFile(path)
@@ -222,13 +221,6 @@ def _tables(where: str, found: Mapping[str, FloatArray], kind: str) -> list[Sour
     if len(arrays) > _MOST_ARRAYS:
         raise DatasetError(f"{where}: contains {len(arrays)} arrays, but at most {_MOST_ARRAYS} are read")
     return tables_of_arrays(where, arrays)
-
-
-def _check(path: Path, where: str) -> None:
-    try:
-        check_file(path, LARGEST_FILE)
-    except UnreadableFile as error:
-        raise DatasetError(f"{where}: {error}") from None
 
 
 def _refuse_size(numbers: int, where: str) -> None:

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from slipmap.models.files import UnreadableFile, check_file
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.importing.source import (
     LARGEST_FILE,
     MOST_NUMBERS,
     Column,
     Source,
+    check_size,
     missing_library,
 )
 from slipmap.models.measurements.push_dataset import DatasetError
@@ -50,10 +50,7 @@ def read_bag(path: Path, where: str, wanted: Collection[str] = ()) -> list[Sourc
         DatasetError: a library is not installed, or the bag is broken or too large.
     """
     for file in path.iterdir() if path.is_dir() else [path]:
-        try:
-            check_file(file, LARGEST_FILE)
-        except UnreadableFile as error:
-            raise DatasetError(f"{where}: {error}") from None
+        check_size(file, where)
     topics = {f"/{part.strip('/').split('/')[0]}" if _of_tf(part) else part for part in wanted}
     messages = _mcap if path.suffix.lower() == ".mcap" else _ros
     tables: dict[str, _Rows] = {}
@@ -160,7 +157,7 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
     try:
         from rosbags.rosbag1 import Reader as BagReader
         from rosbags.rosbag2 import Reader as FolderReader
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise missing_library(where, "rosbags") from None
     first = path.suffix.lower() == ".bag"
@@ -177,9 +174,7 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
                 definition = connection.msgdef.data
                 if kind not in store.types and definition:
                     try:
-                        types = get_types_from_msg(definition, kind)
-                        store.register({name: value for name, value in types.items()
-                                        if name not in store.types})  # fmt: skip
+                        _define(store, definition, kind)
                     except Exception:  # a definition that rosbags cannot read
                         continue
                 if kind in store.types:
@@ -189,6 +184,14 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
             return
         for connection, received, raw in bag.messages(chosen):
             yield connection.topic, 1e-9 * received, read(unpacked(raw), connection.msgtype)
+
+
+def _define(store: Any, definition: str, kind: str) -> None:
+    """Add a kind of message, and the kinds in it, to a store of types."""
+    from rosbags.typesys import get_types_from_msg
+
+    types = get_types_from_msg(definition, kind)
+    store.register({name: value for name, value in types.items() if name not in store.types})
 
 
 @contextmanager
@@ -293,11 +296,10 @@ def _decoder(schema: Any, encoding: str, where: str) -> Callable[[bytes], Any]:
     if encoding == "json":
         return json.loads
     if encoding in ("cdr", "ros1"):
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.LATEST if encoding == "cdr" else Stores.ROS1_NOETIC)
-        types = get_types_from_msg(schema.data.decode(), schema.name)
-        store.register({name: value for name, value in types.items() if name not in store.types})
+        _define(store, schema.data.decode(), schema.name)
         name = schema.name if schema.name in store.types else schema.name.replace("/", "/msg/", 1)
         read = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
         return lambda data: read(data, name)

@@ -7,12 +7,13 @@ the columns are, `mapping` turns them into poses and forces, and `recordings` in
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slipmap.models.files import UnreadableFile, check_file
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
@@ -33,6 +34,14 @@ NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--"
 """Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
+
+
+def check_size(path: Path, where: str) -> None:
+    """Refuse, with a DatasetError, anything but a regular file of at most `LARGEST_FILE` bytes."""
+    try:
+        check_file(path, LARGEST_FILE)
+    except UnreadableFile as error:
+        raise DatasetError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,24 +121,22 @@ class Source:
             for name, cells in self.columns.items()
         }
         time = None if self.time is None else self.time[rows]
-        return Source(
-            self.file, self.part, columns, time, self.length, self.up, self.decimal, self.first_row, self.push
-        )
+        return replace(self, columns=columns, time=time)
 
 
 Reader = Callable[[Path, str], list[Source]]
 """Reader of a file, given its path and its name in error messages."""
 
 
-def missing_library(where: str, library: str, extra: str = "import") -> DatasetError:
+def missing_library(where: str, library: str) -> DatasetError:
     """Error about an optional library that is not installed."""
     return DatasetError(
         f"{where}: reading such files needs the library {library}; install it with `pip install"
-        f" 'slipmap[{extra}]'`"
+        " 'slipmap[import]'`"
     )
 
 
-def tables_of_arrays(file: str, found: Mapping[str, FloatArray], separator: str = "/") -> list[Source]:
+def tables_of_arrays(file: str, found: Mapping[str, FloatArray]) -> list[Source]:
     """Tables from arrays at paths: arrays of one folder and length are the columns of a table, as are the
     columns of an array, as `name.0`, `name.1`.
 
@@ -138,7 +145,7 @@ def tables_of_arrays(file: str, found: Mapping[str, FloatArray], separator: str 
     folders: dict[tuple[str, int], dict[str, Column]] = {}
     own: list[Source] = []
     for path, values in found.items():
-        folder, _, name = path.rpartition(separator)
+        folder, _, name = path.rpartition("/")
         table = folders.setdefault((folder, len(values)), {})
         if values.ndim == 1:
             table[name] = values
@@ -149,6 +156,6 @@ def tables_of_arrays(file: str, found: Mapping[str, FloatArray], separator: str 
                 table[f"{name}.{number}"] = values[:, number]
             columns: dict[str, Column] = {str(k): values[:, k] for k in range(values.shape[1])}
             own.append(Source(file, path, columns))
-    whole = [Source(file, folder or separator, table) for (folder, _), table in folders.items() if table]
+    whole = [Source(file, folder or "/", table) for (folder, _), table in folders.items() if table]
     taken = {source.part for source in whole}
     return whole + [source for source in own if source.part not in taken]

@@ -14,10 +14,10 @@ from schemas import assert_as_described
 
 from slipmap.diagrams.application.benchmark import (
     format_table,
-    growth,
     other_engines,
     plain_numpy,
     run_benchmark,
+    scene,
 )
 from slipmap.diagrams.application.benchmark.scene import make_scene
 from slipmap.models.objects import cells_from_polygon
@@ -80,9 +80,9 @@ def test_another_engine_ends_near_ours(package: str, engine: Any, distance: floa
 
 @pytest.fixture
 def small_growth(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "CELLS", (6, 20))
-    monkeypatch.setattr(growth, "STEPS", (4,))
-    monkeypatch.setattr(growth, "MODELS", (1, 3))
+    monkeypatch.setattr(scene, "CELLS", (6, 20))
+    monkeypatch.setattr(scene, "STEPS", (4,))
+    monkeypatch.setattr(scene, "MODELS", (1, 3))
 
 
 @pytest.fixture
@@ -141,8 +141,8 @@ def test_a_tiny_benchmark_with_all_engines(monkeypatch: pytest.MonkeyPatch) -> N
     pytest.importorskip("mujoco", reason="comes with pip install slipmap[bench]")
     pytest.importorskip("pybullet", reason="comes with pip install slipmap[bench]")
     # Each measurement of growth is a process of its own.
-    monkeypatch.setattr(growth, "CELLS", (6,))
-    monkeypatch.setattr(growth, "MODELS", (1,))
+    monkeypatch.setattr(scene, "CELLS", (6,))
+    monkeypatch.setattr(scene, "MODELS", (1,))
     result = run_benchmark(cells=6, models=2, steps=4, repeats=2)
     assert result["missing"] == {}
     assert_as_described("bench", result)
@@ -161,6 +161,6 @@ def test_numbers_below_one_are_refused(wrong: dict[str, int]) -> None:
 
 @pytest.mark.usefixtures("small_growth")
 def test_a_failed_measurement_of_growth_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "CELLS", (0,))
+    monkeypatch.setattr(scene, "CELLS", (0,))
     with pytest.raises(RuntimeError, match=r"(?s)'cells': 0.* cells must be at least 1, got 0"):
-        growth.measure_growth(cells=6, steps=4, repeats=1, seed=0, progress=lambda stage, done, total: None)
+        scene.measure_growth(cells=6, steps=4, repeats=1, seed=0, progress=lambda stage, done, total: None)

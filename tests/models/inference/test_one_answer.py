@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import slipmap
+from slipmap.models.inference.comparison import compare_with_effects
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.push_errors import Paired
 
@@ -34,7 +35,7 @@ def test_every_door_says_the_same_without_effects(dataset, learned, fitted):
     assert (compared.final_add, compared.mean_add) == (ends.mean(), paths.mean())
     predicted = slipmap.predict(learned.belief, dataset)
     assert [push.final_add for push in predicted if push.role == "heldout"] == ends.tolist()
-    before, _ = slipmap.compare_with_effects(dataset, ["table_tilt"], seed=5)
+    before, _ = compare_with_effects(dataset, ["table_tilt"], seed=5)
     assert before.totals["heldout"].model.final_add == ends.mean()
     diagnosed = diagnose(dataset, quick=True, seed=5)
     assert diagnosed.before.final.tolist() == ends.tolist()

@@ -70,10 +70,7 @@ class Score:
             "confusion": self.confusion,
             "named": self.named,
             "rates": [
-                {
-                    "what": rate.what, "hits": rate.hits, "of": rate.of,
-                    "share": rate.share if rate.of else None, "range": list(rate.range),
-                }
+                vars(rate) | {"share": rate.share if rate.of else None, "range": list(rate.range)}
                 for rate in self.rates
             ],
             "cases": list(self.cases),
