@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import IO
 
 from slipmap.diagrams.hardware.network import HardwareError
-from slipmap.models.process_end import prepare_worker
+from slipmap.diagrams.systems.workers import prepare_worker
 
 _READY = b"ready\n"
 

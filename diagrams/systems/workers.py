@@ -1,8 +1,12 @@
-"""Long computations, run in worker processes beside the diagram, or in place if there are none."""
+"""Long computations, run in worker processes beside the diagram, or in place if there are none. Workers end
+with their parent, however it ends.
+"""
 
 import gc
 import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
@@ -10,13 +14,12 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
 
-from slipmap.models.process_end import prepare_worker
-
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 COUNT = 2  # processes: one for pictures, one for learning or planning
 _NICER = 5  # niceness added to workers, as commands to the arm come first
 _HAND_OVER = 1e-3  # s after which a thread yields to another
+_EVERY = 1.0  # s between two looks whether the parent still runs
 
 
 def begun(
@@ -81,3 +84,21 @@ def _prepare(parent: int) -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError):
         os.nice(_NICER)
+
+
+def prepare_worker(parent: int) -> None:
+    """Ignore Ctrl-C, which the parent handles, and exit within seconds of the parent's end, even if killed.
+
+    Call it first in a worker.
+
+    Args:
+        parent: number of its process, as the parent knows it: it may have ended before the worker began.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_EVERY)
+    os._exit(1)

@@ -19,8 +19,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from slipmap.diagrams.systems.workers import prepare_worker
 from slipmap.models.files import replaced_file
-from slipmap.models.process_end import prepare_worker
 from slipmap.models.progress import StageProgress
 
 

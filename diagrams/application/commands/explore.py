@@ -283,7 +283,7 @@ def _show_surprises(run: ExplorationRun, folder: Path) -> None:
 def _show_repair(run: ExplorationRun) -> None:
     """Print how the model was repaired during the run, if it was to adapt."""
     if run.repair is not None:
-        from slipmap.diagrams.application.reports.repair_words import repair_story
+        from slipmap.diagrams.application.reports.diagnosis_words import repair_story
 
         for sentence in repair_story(run.repair, run.watch):
             paragraph(sentence)

@@ -26,8 +26,8 @@ from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.diagrams.systems.workers import prepare_worker
 from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
-from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
     from slipmap.diagrams.application.campaigns.experiments import Summary

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slipmap.diagrams.application.reports.repair_words import repair_story
+from slipmap.diagrams.application.reports.diagnosis_words import repair_story
 from slipmap.diagrams.systems.diagnosis import Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 
