@@ -25,7 +25,7 @@ folder: each takes the others' processes for dead.
 """
 
 _WAITING: ContextVar[dict[Path, Path] | None] = ContextVar("files that appear together", default=None)
-"""Final file: its temporary name."""
+"""Final file or folder: its temporary name."""
 
 
 class BadInput(Exception):
@@ -152,27 +152,39 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
 def replaced_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary name for a folder that the block makes; if it succeeds, replace the folder at `path`.
 
+    Inside `together` the folder appears with the files.
+
     Raises:
         OSError: the path cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
-    scratch = part_of(path, f"{threading.get_ident()}.")
-    fresh, old = scratch / "new", scratch / "old"
+    fresh, waiting = part_of(path, f"{threading.get_ident()}.new."), _WAITING.get()
     try:
-        scratch.mkdir()
         yield fresh
-        with _in_turn(), undisturbed():
-            if path.exists():
-                os.replace(path, old)
-            try:
-                os.replace(fresh, path)
-            except OSError:
-                if old.exists():
-                    os.replace(old, path)
-                raise
-    finally:
-        remove_part(scratch)
+        if waiting is None:
+            with _in_turn(), undisturbed():
+                _rename(fresh, path)
+        else:
+            waiting[path] = fresh
+    except BaseException:
+        remove_part(fresh)
+        raise
+
+
+def _rename(part: Path, final: Path) -> None:
+    """Give a temporary file or folder its final name, in place of what has that name."""
+    if not (part.is_dir() and final.exists()):
+        os.replace(part, final)
+        return
+    old = part_of(final, f"{threading.get_ident()}.old.")
+    os.replace(final, old)
+    try:
+        os.replace(part, final)
+    except OSError:
+        os.replace(old, final)
+        raise
+    remove_part(old)
 
 
 @contextmanager
@@ -196,7 +208,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Make all files that the block writes with `whole_file` appear together, or none if it fails.
+    """Make what the block writes with `whole_file` and `replaced_folder` appear together, or nothing if it
+    fails.
 
     Where two processes write files of the same names, all are of the one that ends last.
 
@@ -210,7 +223,7 @@ def together() -> Iterator[None]:
         with _in_turn(), undisturbed():
             for file, part in waiting.items():
                 with writing(file):
-                    os.replace(part, file)
+                    _rename(part, file)
     finally:
         _WAITING.reset(token)
         with undisturbed():

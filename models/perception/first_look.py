@@ -37,6 +37,7 @@ from slipmap.models.perception.pinhole_camera import (
 )
 from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
 from slipmap.models.perception.seen_object import (
+    Footprint,
     Outline,
     Reason,
     Relief,
@@ -84,12 +85,33 @@ def first_look(
         raise ValueError("first look: needs at least one depth image")
     depth = median_depth([view.checked_depth(frame) for frame in frames])
     table, raw, heights, mask = _standing_object(depth, view, blocked)
-    seen_W = footprint(mask, heights, raw, table, view)
+    picture, cloud = HeightPicture(heights), _cloud(mask, raw, depth, view)
+
+    def taken_for(overhung: bool) -> SeenObject:
+        traced = footprint(mask, heights, raw, table, view, overhung)
+        return _seen_object(traced, cloud, table, picture, view, cells)
+
+    upright = taken_for(overhung=False)
+    if not upright.angle_seen:
+        return upright
+    # A bowl's flank, hidden below its rim, would make it look longer than wide if it were taken for upright.
+    bowl = taken_for(overhung=True)
+    return upright if bowl.angle_seen else bowl
+
+
+def _seen_object(
+    seen_W: Footprint,
+    cloud: tuple[FloatArray, FloatArray],
+    table: TablePlane,
+    picture: HeightPicture,
+    view: View,
+    cells: int,
+) -> SeenObject:
+    """The object of a footprint, with points (k, 2) on its top and their heights (k,), m."""
     origin = np.asarray(seen_W.polygon.centroid.coords[0])
     polygon, edge = (shapely.transform(part, lambda xy: xy - origin) for part in seen_W[:2])
     grid = cells_from_polygon(*rings_of(polygon), count=cells)
-    points, tops = _cloud(mask, raw, depth, view)
-    points = points - origin
+    points, tops = cloud[0] - origin, cloud[1]
     relief = Relief.from_cloud(edge, points, tops, pixel_size(view))
     inner, outline = _inner_points(edge), _outline(edge, seen_W.outline, origin)
     inner_heights, inner_slopes = relief.smooth(inner, SMOOTHING * pixel_size(view))
@@ -107,7 +129,6 @@ def first_look(
     )
     # The outline is traced, but poses are fitted to edges. If the first pose is fitted too, the difference
     # between the two methods cancels out of every motion.
-    picture = HeightPicture(heights)
     fit = fit_edges(picture, view, seen, seen.first_pose, _REACHES)
     fitted = replace(seen, first_pose=fit.pose)
     ((misfit, _),) = mean_misfits(picture, view.lens, fitted.shape, fit.pose[None], pixel_size(view), 1)

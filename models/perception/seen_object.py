@@ -317,17 +317,20 @@ class Footprint(NamedTuple):
     outline: Outline  # points along the rings of `edge`
 
 
-def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
+def footprint(
+    mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View, overhung: bool = False
+) -> Footprint:
     """Outline in W, and the height of its edges, of the object whose pixels are a mask (H, W), in one piece.
 
     `contour` gives the outline in the picture. Each of its points is mapped to the world at the height at
     which the object is seen there, not at the table's: a top 100 mm high, seen 0.4 m off the axis, would
-    otherwise appear shifted by 40 mm. `heights` (H, W) are smoothed, `raw` ones keep sharp edges, m.
+    otherwise appear shifted by 40 mm. `heights` (H, W) are smoothed, `raw` ones keep sharp edges, m. Where
+    the camera looks at a flank, that is upright, or hidden below the rim if `overhung`, as a bowl's is.
     """
     pictures = HeightPicture(heights), HeightPicture(raw)
     rings = contour(mask, pictures[0], plane, view)
     feet, edges = (
-        [_in_world(ring, k == 0, *pictures, plane, view) for k, ring in enumerate(side)]
+        [_in_world(ring, k == 0, *pictures, plane, view, overhung) for k, ring in enumerate(side)]
         for side in ([ring.foot for ring in rings], [ring.edge for ring in rings])
     )
     parts = ([getattr(edge, name) for edge in edges] for name in ("points", "normals", "heights"))
@@ -384,6 +387,7 @@ def _in_world(
     sharp: HeightPicture,
     plane: TablePlane,
     view: View,
+    overhung: bool,
 ) -> Outline:
     pixels, normals = _points_along(ring, outer=outer, begin=0.0)
     # The side that an edge faces must not change with every ripple of the traced outline.
@@ -397,7 +401,7 @@ def _in_world(
     # On the far side the top hides the foot, and the edge lies on the ray past the rim. On the near side the
     # flank is seen, and the outline is at half its height.
     far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
-    seen_at = np.where(far, np.maximum(rim, edge / 2), edge / 2)
+    seen_at = np.where(far | overhung, np.maximum(rim, edge / 2), edge / 2)
     return Outline(plane.meet(pixels, seen_at, view), outward, edge)
 
 

@@ -9,7 +9,8 @@ import yaml
 from page_examples import NOT_RUN
 from schemas import FOLDER, assert_as_described
 
-from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models import measurements
+from slipmap.models.measurements import DatasetError, read_dataset, write_dataset
 from slipmap.models.measurements.importing.import_setup import parse_import_setup
 from tests.models.measurements.importing.lab_session import lab_session
 
@@ -54,6 +55,17 @@ def test_import_and_check(slipmap, lab, monkeypatch):
     page = (lab / "c.html").read_text()
     assert "<svg" in page or "data:image/svg" in page
     assert "imported from push.csv" in page
+
+
+def test_an_import_that_is_stopped_leaves_neither_dataset_nor_picture(slipmap, lab, monkeypatch):
+    def stopped(dataset, folder, **how):
+        write_dataset(dataset, folder, **how)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(measurements, "write_dataset", stopped)
+    said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
+    assert said.code == 130
+    assert {path.name for path in lab.iterdir()} == {"push.csv", "setup.yaml"}
 
 
 def test_raw_files_to_a_diagnosis_in_three_commands(slipmap, tmp_path):

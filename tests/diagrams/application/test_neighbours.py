@@ -102,6 +102,30 @@ def test_results_appear_together_or_not_at_all(tmp_path):
     assert files_in(tmp_path) == ["belief.json", "report.html"]
 
 
+@pytest.mark.parametrize("before", [False, True])
+def test_a_folder_appears_together_with_files(tmp_path, before):
+    pushes, picture = tmp_path / "pushes", tmp_path / "pushes.png"
+    if before:
+        pushes.mkdir()
+        (pushes / "old").write_text("")
+
+    def write():
+        write_text(picture, "new")
+        with replaced_folder(pushes) as fresh:
+            fresh.mkdir()
+            (fresh / "new").write_text("")
+
+    there = files_in(tmp_path)
+    with pytest.raises(RuntimeError), together():
+        write()
+        raise RuntimeError
+    assert files_in(tmp_path) == there
+    with together():
+        write()
+        assert not picture.exists() and not (pushes / "new").exists()
+    assert files_in(tmp_path) == ["pushes.png", "pushes/new"]
+
+
 def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     gone = subprocess.Popen(["true"])
     gone.wait()
@@ -196,6 +220,7 @@ def test_ctrl_c_while_temporary_files_are_removed_leaves_none(tmp_path, monkeypa
     try:
         with pytest.raises((KeyboardInterrupt, BadInput)):
             if write == "a folder":
+                (tmp_path / "new").mkdir()
                 with replaced_folder(tmp_path / "new") as fresh:
                     fresh.mkdir()
             else:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.perception import edge_kernels
+from slipmap.models.perception.first_look import first_look
 from slipmap.models.perception.object_mask import HeightPicture
 from slipmap.models.perception.pinhole_camera import pixel_size
 from slipmap.models.perception.pose_tracking import load_kernels, track
@@ -228,6 +229,34 @@ def test_the_angle_of_a_round_object_is_held(scene, look, radius):
         np.testing.assert_allclose(observed.pose[:2] - seen.first_pose[:2], pose[:2], atol=1e-3)
         assert observed.covariance[2, 2] >= 1.0 and np.linalg.eigvalsh(observed.covariance).min() > 0
         last = observed.pose
+
+
+TOP = [[0, 0.025, 0.045, 0.068, 0.0775, 0.0805, 0.0806], [5e-3, 5e-3, 0.014, 0.037, 0.055, 0.055, -1]]
+BOTTOM = [[0, 0.03, 0.046, 0.07, 0.0806, 0.0807], [0, 0, 8e-3, 0.034, 0.054, 1]]
+
+
+def bowl(scene, place):
+    """Depth picture of a bowl; TOP and BOTTOM are its surfaces: radii and heights, m."""
+    depth = scene.depth((), (0.0, 0.0, 0.0))
+    rays, start = scene.view.rays.astype(float), scene.view.p_WC
+    for z in np.arange(0.0, 0.056, 3e-4):  # upwards: the highest place on a ray is seen
+        along = (z - start[2]) / rays[..., 2]
+        radius = np.hypot(*np.moveaxis(start[:2] + along[..., None] * rays[..., :2] - place, -1, 0))
+        inside = (np.interp(radius, *TOP) >= z) & (np.interp(radius, *BOTTOM) <= z)
+        depth[inside] = along[inside]
+    return depth
+
+
+def test_the_angle_of_a_bowl_is_held_wherever_it_is_first_seen(scene):
+    """The camera sees no flank of it, only its rim."""
+    first, second = (np.array([0.2, 0.1]), np.array([-0.15, 0.2]))
+    rng = np.random.default_rng(3)
+    pictures = bowl(scene, first), bowl(scene, second)
+    seen = first_look([scene.noisy(pictures[0], rng) for _ in range(5)], scene.view)
+    assert not seen.angle_seen
+    observed = track(scene.noisy(pictures[1], rng), scene.view, seen, np.array([-0.13, 0.19, 0.0]))
+    assert observed.valid and observed.pose[2] == 0.0
+    np.testing.assert_allclose(observed.pose[:2] - seen.first_pose[:2], second - first, atol=1e-3)
 
 
 def test_the_angle_of_what_is_not_round_is_seen(look):
