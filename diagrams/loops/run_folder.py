@@ -381,7 +381,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         stored = run["options"]
         options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
-        rests = tuple(1e-6 * np.array(rest, dtype=float) for rest in run["rests"])
+        rests = tuple(1e-6 * np.array(rest, dtype=float) for rest in run.get("rests", ()))
         grid = first.grid(scenario.camera.intrinsics, rests)
         dataset = read_dataset(folder / PUSHES, keep_all=True)
         pushes = run["pushes"][: len(dataset.trials)]

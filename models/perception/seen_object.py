@@ -266,7 +266,8 @@ class Rests:
         """With another look at the object, at a pose (3,); one from which much is hidden does not count."""
         if (np.abs(pose - self.place) > _ELSEWHERE).any():
             return replace(self, place=pose, looks=(), complete=False).with_look(pose, offsets)
-        if np.isfinite(offsets).sum() < _SEEN_WELL * np.isfinite(self.offsets[0]).sum():
+        most = max((np.isfinite(earlier).sum() for earlier in self.offsets), default=0)
+        if np.isfinite(offsets).sum() < _SEEN_WELL * most:
             return self
         looks = (*self.looks, offsets)
         if len(looks) < _LOOKS:

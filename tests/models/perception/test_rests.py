@@ -25,8 +25,8 @@ def with_looks(rests, pose, number, value=1e-3, hidden=0):
 
 def test_six_looks_at_a_new_place_count_once():
     rests = Rests((np.zeros(20),), HERE)
-    assert not rests.wants(HERE + [0.001, -0.001, 0.01])
-    assert rests.wants(THERE) and rests.wants(HERE + [0, 0, 0.02])
+    assert not rests.wants(HERE + np.array([0.001, -0.001, 0.01]))
+    assert rests.wants(THERE) and rests.wants(HERE + np.array([0, 0, 0.02]))
     five = with_looks(rests, THERE, 5)
     assert len(five.offsets) == 1 and five.wants(THERE)
     six = with_looks(five, THERE, 1, value=4e-3)
@@ -39,7 +39,7 @@ def test_an_object_that_moves_or_is_hidden_is_not_at_rest():
     assert len(with_looks(rests, THERE, 30, hidden=3).offsets) == 1
     moving = rests
     for number in range(30):
-        moving = with_looks(moving, HERE + [0.0025 * number, 0, 0], 1)
+        moving = with_looks(moving, HERE + np.array([0.0025 * number, 0, 0]), 1)
     assert len(moving.offsets) == 1
     # What was seen of one place does not count for the next.
     later = with_looks(with_looks(rests, THERE, 5, value=9e-3), 2 * THERE, 6)
