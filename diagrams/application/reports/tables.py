@@ -72,9 +72,9 @@ def _show_too_few_judges(pushes: Sequence[Prediction], where: str) -> None:
     surprising = phrases.surprises(held).beyond_chance
     if len(held) < _FEWEST_JUDGES and error > HARDLY_BETTER * uniform and not surprising:
         paragraph(
-            f"Held-out pushes end {1e3 * error / len(held):.1f} mm off, a uniform object"
-            f" {1e3 * uniform / len(held):.1f} mm: too few to tell whether the model fails. `slipmap diagnose"
-            f" {where}` weighs all pushes."
+            f"Held-out pushes end {1e3 * error / len(held):.1f} mm off (a uniform object:"
+            f" {1e3 * uniform / len(held):.1f} mm); they are too few to tell whether the model fails."
+            f" `slipmap diagnose {where}` weighs all pushes."
         )
 
 

@@ -248,7 +248,7 @@ def test_two_held_out_pushes_that_a_uniform_object_predicts_as_well_send_to_diag
         held = [prediction(role="heldout", final_add=0.004, uniform_add=uniform) for _ in range(2)]
         show_errors(held, recorded_by(Noise()), "demo/pushes")
         said = " ".join(capsys.readouterr().out.split())
-        assert ("end 4.0 mm off, a uniform object 4.5 mm: too few" in said) == told
+        assert ("end 4.0 mm off (a uniform object: 4.5 mm); they are too few" in said) == told
         assert ("`slipmap diagnose demo/pushes`" in said) == told
 
 
