@@ -115,9 +115,7 @@ def fit(
             progress(done, iterations)
         if len(active) == 0:
             break
-    return Fits(
-        z, shift, cost, equations.cost, equations.hessian, equations.start_gain.swapaxes(0, 1)
-    )
+    return Fits(z, shift, cost, equations.cost, equations.hessian, equations.start_gain.swapaxes(0, 1))
 
 
 def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damping: float) -> FloatArray:

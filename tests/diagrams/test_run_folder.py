@@ -115,6 +115,17 @@ def test_another_process_finds_all_that_it_needs(whole, tmp_path):
     assert np.array_equal(before.trials[1].tip_pose.values, whole.trials[1].tip_pose.values)
 
 
+def test_a_run_of_an_earlier_version_goes_on_with_the_outline_of_its_first_look(whole, tmp_path):
+    """It does not hold what was seen of the outline at the places of rest."""
+    recorded(tmp_path, whole, 2)
+    run = json.loads((tmp_path / RUN).read_text())
+    del run["rests"]
+    (tmp_path / RUN).write_text(json.dumps(run))
+    cell, _, before = resumed(tmp_path)
+    assert before.rests == () and len(before.trials) == 2
+    assert np.array_equal(before.grid.exterior, whole.first.seen(cell.camera.intrinsics).grid.exterior)
+
+
 def test_going_on_ends_in_the_same_files_as_going_through(whole, tmp_path):
     for name in ("through", "on"):
         (tmp_path / name).mkdir()
@@ -192,7 +203,7 @@ def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path
             (tmp_path / name).write_bytes(b"")
     killed_at(call, lambda: recorded(tmp_path, whole, 1))
     if call > 1:
-        with pytest.raises(BadInput, match="no run .* with pushes; start one with --out"):
+        with pytest.raises(BadInput, match=r"no run .* with pushes; start one with --out"):
             resumed(tmp_path)
     recorded(tmp_path, whole, 2)
     assert len(resumed(tmp_path)[2].trials) == 2

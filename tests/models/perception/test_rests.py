@@ -34,6 +34,10 @@ def test_six_looks_at_a_new_place_count_once():
     assert six.offsets[1] == pytest.approx(1.5e-3, abs=1e-12)
 
 
+def test_a_run_that_kept_no_looks_begins_to_sharpen_where_it_goes_on():
+    assert len(with_looks(Rests((), HERE), THERE, 6).offsets) == 1
+
+
 def test_an_object_that_moves_or_is_hidden_is_not_at_rest():
     rests = Rests((np.zeros(20),), HERE)
     assert len(with_looks(rests, THERE, 30, hidden=3).offsets) == 1
