@@ -94,7 +94,9 @@ class PlantWorld(DirectWorld):
         diagram = self._simulator.get_system()
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
-        self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose, _FEET.sink))
+        x, y, angle = pose
+        X_WO = sliding_object.resting_pose(x, y, angle, _FEET.sink)
+        self._plant.SetFreeBodyPose(self._context, self._body, X_WO)
         self._take_finger_away()
 
     def _drive(self, tip: FloatArray) -> Motion:
