@@ -50,10 +50,10 @@ FOUR = Feet(_FEET, SINK, 1e-4)
 """The usual feet, on which every cell resists spinning."""
 
 STIFF = Feet(np.zeros((1, 2)), 2e-6, 3e-4)
-"""One foot for each cell. Several times faster, but a single cell does not resist spinning. Cells at a table's
-rim may carry hundreds of times their weight, and on softer feet, or with lower blocks, an object leans on its
-blocks; with higher ones it falls off its last row of feet, half a cell from the rim. What rocks on stiff feet
-meets the wrong friction, as `lagged` contact computes it from the loads of the step before."""
+"""One foot for each cell. Several times faster, but a single cell does not resist spinning. Cells at the rim
+of a table may carry hundreds of times their weight, and on softer feet, or with lower blocks, an object leans
+on its blocks; with higher ones it falls off its last row of feet, half a cell from the rim. What rocks on
+stiff feet meets the wrong friction, as `lagged` contact computes it from the loads of the step before."""
 
 
 def plant_config(time_step: float) -> MultibodyPlantConfig:
