@@ -179,11 +179,11 @@ def add_sliding_object(
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
         plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
-    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0, feet.sink))
+    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0, sink=feet.sink))
     return instance
 
 
-def resting_pose(x: float, y: float, angle: float, sink: float = SINK) -> RigidTransform:
+def resting_pose(x: float, y: float, angle: float, *, sink: float = SINK) -> RigidTransform:
     """X_WO of an object at rest on a level table: all feet carry their load, nothing moves."""
     return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -sink]))
 
