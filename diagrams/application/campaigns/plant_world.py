@@ -95,7 +95,7 @@ class PlantWorld(DirectWorld):
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
         x, y, angle = pose
-        X_WO = sliding_object.resting_pose(x, y, angle, _FEET.sink)
+        X_WO = sliding_object.resting_pose(x, y, angle, sink=_FEET.sink)
         self._plant.SetFreeBodyPose(self._context, self._body, X_WO)
         self._take_finger_away()
 
