@@ -305,9 +305,7 @@ class Together:
                 values = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
                 z = np.concatenate([one.base.z[0], prior.effect_coordinates(values)])
                 weights = np.ones((1, len(one.observations)))
-                equations = likelihood.linearise(
-                    z[None], one.base.offsets, np.ones(1), weights, by_push=True
-                )
+                equations = likelihood.linearise(z[None], one.base.offsets, np.ones(1), weights, by_push=True)
                 for i in asked:
                     own = prior.plain + at[i] + np.flatnonzero(effects[i].amplitudes)
                     said[i].append(_eliminated(equations, one.base.z[0], own, signs[k]))

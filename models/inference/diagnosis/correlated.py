@@ -170,9 +170,7 @@ class CorrelatedLikelihood(PushLikelihood):
             by_z, force_by_z = (self.prior.chain(maps, rows)[0] for rows in (pose_slopes, alike.d_forces))
             for place, b in enumerate(alike.pushes.tolist()):
                 T = len(self.measured.stretches[b])
-                found[b] = Linearised(
-                    pose[0, place], by_z[place], force[0, place, :T], force_by_z[place, :T]
-                )
+                found[b] = Linearised(pose[0, place], by_z[place], force[0, place, :T], force_by_z[place, :T])
         return [found[b] for b in range(len(self.observations))]
 
     def _told(self, b: int, forces: FloatArray) -> FloatArray:

@@ -195,7 +195,9 @@ def _stacked(
         prior = fitter.prior([everything[i] for i in tried])
         likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
         ends = prior.plain + np.cumsum([len(everything[i].parameters) for i in tried])
-        at = {i: np.arange(end - len(everything[i].parameters), end) for i, end in zip(tried, ends, strict=True)}
+        at = {
+            i: np.arange(end - len(everything[i].parameters), end) for i, end in zip(tried, ends, strict=True)
+        }
         taken = [] if g else [np.arange(prior.plain), *(at[i] for i in present)]
         guess = np.concatenate([starts[i][min(g, len(starts[i]) - 1)] for i in tried])
         z = np.concatenate([fitted.z[: prior.plain], prior.effect_coordinates(guess)])
