@@ -37,6 +37,10 @@ _ALIKE = 2**22
 """The same for pushes whose residuals are weighted together; what the cache holds is fastest."""
 
 
+_MANY_COLUMNS = 2.0
+"""From this ratio of a rollout's columns to coordinates on, derivatives are converted to coordinates first."""
+
+
 @dataclass(frozen=True)
 class LikelihoodSettings:
     """How far the data are trusted."""
@@ -141,16 +145,20 @@ class PushLikelihood(ABC):
         maps = prior.maps(z, strength)
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        # Normal equations in the rollout's own columns, which are fewer than the coordinates; pushes that
-        # stay away from the table's rim have only the first columns.
+        # Normal equations in the rollout's own columns, unless these are many more than the coordinates;
+        # pushes that stay away from the table's rim have only the first columns.
         columns, start = prior.columns(maps, strength), prior.start_columns
+        convert = columns.shape[1] > _MANY_COLUMNS * d
+        rolled_out = self._rolled_out(maps, offsets, columns, convert=convert)
+        if convert:
+            columns, start = np.eye(d + 3, d)[None], slice(d, d + 3)
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
         couplings = np.empty((B, K, d, 3))
         push_gradients = np.empty((B, K, d)) if by_push else None
-        for alike in self._rolled_out(maps, offsets, P):
+        for alike in rolled_out:
             own = alike.pushes
             J, r, own_cost = self._whitened(alike)
             G, p = len(own), J.shape[-1]
@@ -181,11 +189,17 @@ class PushLikelihood(ABC):
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings, push_gradients)
 
-    def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
-        """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
-        at most about `_JACOBIANS` bytes, and of these those of one size together."""
+    def _rolled_out(
+        self, maps: Maps, offsets: FloatArray, columns: FloatArray, *, convert: bool
+    ) -> Iterator[Alike]:
+        """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P columns take
+        at most about `_JACOBIANS` bytes, and of these those of one size together.
+
+        With `convert`, derivatives are those by coordinates (d) and start (3); `columns` (K, P, d) are those
+        of the prior.
+        """
         K = len(maps)
-        size = 8 * K * columns * self._rows
+        size = 8 * K * columns.shape[1] * self._rows
         for part in _cut(np.cumsum(size) // _JACOBIANS):
             own = self._order[part]
             rollouts = self.prior.slider.rollout(
@@ -197,14 +211,24 @@ class PushLikelihood(ABC):
             )
             reached = np.asarray(rollouts.reached.any(axis=0))
             for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
-                yield self._alike(own, alike, rollouts, reached[alike.start])
+                used = slice(None) if reached[alike.start] else slice(self.prior.slider.columns)
+                yield self._alike(own, alike, rollouts, used, columns if convert else None)
 
-    def _alike(self, pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool) -> Alike:
-        """Some of the rolled-out pushes, without the mass columns where these are all zero."""
+    def _alike(
+        self,
+        pushes: NDArray[np.int64],
+        alike: slice,
+        rollouts: Rollouts,
+        used: slice,
+        columns: FloatArray | None,
+    ) -> Alike:
+        """Some of the rolled-out pushes, with the used columns of the derivatives, or these converted."""
         own, G = pushes[alike], alike.stop - alike.start
         poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
         ends = rollouts.force_at[alike.start : alike.stop + 1].tolist()
-        used = slice(None) if reached else slice(self.prior.slider.columns)
+
+        def slopes(rows: FloatArray) -> FloatArray:
+            return rows if columns is None else self.prior.converted(rows, columns)
 
         def side_by_side(rows: FloatArray) -> FloatArray:
             """(K, G, T, …) forces from those of all pushes (K, Σ, …)."""
@@ -220,8 +244,8 @@ class PushLikelihood(ABC):
             own,
             _split(rollouts.poses[:, poses], G),
             side_by_side(rollouts.forces),
-            _split(rollouts.d_poses[:, poses, :, used], G),
-            side_by_side(rollouts.d_forces[..., used]),
+            _split(slopes(rollouts.d_poses[:, poses, :, used]), G),
+            slopes(side_by_side(rollouts.d_forces[..., used])),
         )
 
     def _told(self, b: int, forces: FloatArray) -> FloatArray:
