@@ -38,7 +38,7 @@ _ALIKE = 2**22
 
 
 _MANY_COLUMNS = 2.0
-"""From this ratio of a rollout's columns to coordinates on, derivatives are converted to coordinates first."""
+"""From this ratio of a rollout's columns to coordinates on, derivatives are converted to coordinates."""
 
 
 @dataclass(frozen=True)
