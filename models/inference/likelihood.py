@@ -116,11 +116,12 @@ class PushLikelihood(ABC):
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
         poses = np.array([len(observation.poses) for observation in self.observations], dtype=np.int64)
-        forces = [0 if push.force_times is None else len(push.force_times) for push in self._pushes]
+        times = [push.force_times for push in self._pushes]
+        forces = np.array([0 if own is None else len(own) for own in times], dtype=np.int64)
         self._order = np.lexsort((forces, poses))
         # In that order: which pushes have equally many poses, and how many rows of derivatives each has.
         self._kind = poses[self._order]
-        self._rows = (3 * poses + 2 * np.array(forces, dtype=np.int64))[self._order]
+        self._rows = (3 * poses + 2 * forces)[self._order]
 
     def linearise(
         self,
@@ -367,7 +368,7 @@ class Likelihood(PushLikelihood):
         sliding = stacked([observation.sliding for observation in seen], alike.forces.shape[2])
         if sliding.any():
             used = sliding.any(axis=0)
-            measured = stacked([observation.forces for observation in seen], len(used))
+            measured = stacked([observation.forces for observation in seen], sliding.shape[1])
             error = alike.forces - measured
             sigma = self._force_sigmas[alike.pushes][:, None]
             share = np.minimum(1.0, settings.independent_forces / np.maximum(sliding.sum(axis=1), 1))

@@ -67,8 +67,8 @@ def refit_candidates(
                 (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6
             )
         else:
-            best = min((fitted.cost for fitted in found.values()), default=base.cost)
-            worth = _ceiling(base.cost, best)
+            least = min((fitted.cost for fitted in found.values()), default=base.cost)
+            worth = _ceiling(base.cost, least)
             fitted = fitter.with_effects((effect,), error, base, guess, afresh=True, worth=worth)
         if fitted is not None:
             found[effect.name] = fitted
