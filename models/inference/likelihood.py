@@ -197,9 +197,11 @@ class PushLikelihood(ABC):
         at most about `_JACOBIANS` bytes, and of these those of one size together.
 
         With `convert`, derivatives are those by coordinates (d) and start (3); `columns` (K, P, d) are those
-        of the prior.
+        of the prior. Refits and folds set out from one fit: hypotheses that agree are rolled out once.
         """
         K = len(maps)
+        if _agree(maps, offsets):
+            maps = Maps(maps.mass[:1], maps.mu[:1], maps.mu_finger[:1], maps.effects[:1])
         size = 8 * K * columns.shape[1] * self._rows
         for part in _cut(np.cumsum(size) // _JACOBIANS):
             own = self._order[part]
@@ -207,13 +209,13 @@ class PushLikelihood(ABC):
                 maps,
                 [self._pushes[b] for b in own],
                 sensitivities=True,
-                start_poses=self._starts[own] + offsets[:, own],
-                start_twists=np.broadcast_to(self._twists[own], (K, len(own), 3)),
+                start_poses=self._starts[own] + offsets[: len(maps), own],
+                start_twists=np.broadcast_to(self._twists[own], (len(maps), len(own), 3)),
             )
             reached = np.asarray(rollouts.reached.any(axis=0))
             for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
                 used = slice(None) if reached[alike.start] else slice(self.prior.slider.columns)
-                yield self._alike(own, alike, rollouts, used, columns if convert else None)
+                yield self._alike(own, alike, rollouts, used, columns, convert=convert)
 
     def _alike(
         self,
@@ -221,15 +223,21 @@ class PushLikelihood(ABC):
         alike: slice,
         rollouts: Rollouts,
         used: slice,
-        columns: FloatArray | None,
+        columns: FloatArray,
+        *,
+        convert: bool,
     ) -> Alike:
         """Some of the rolled-out pushes, with the used columns of the derivatives, or these converted."""
         own, G = pushes[alike], alike.stop - alike.start
         poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
         ends = rollouts.force_at[alike.start : alike.stop + 1].tolist()
 
+        def spread(rows: FloatArray) -> FloatArray:
+            """The rows of each hypothesis, from those of each or of all."""
+            return np.broadcast_to(rows, (len(columns), *rows.shape[1:]))
+
         def slopes(rows: FloatArray) -> FloatArray:
-            return rows if columns is None else self.prior.converted(rows, columns)
+            return self.prior.converted(spread(rows), columns) if convert else spread(rows)
 
         def side_by_side(rows: FloatArray) -> FloatArray:
             """(K, G, T, …) forces from those of all pushes (K, Σ, …)."""
@@ -243,9 +251,9 @@ class PushLikelihood(ABC):
 
         return Alike(
             own,
-            _split(rollouts.poses[:, poses], G),
-            side_by_side(rollouts.forces),
-            _split(slopes(rollouts.d_poses[:, poses, :, used]), G),
+            spread(_split(rollouts.poses[:, poses], G)),
+            spread(side_by_side(rollouts.forces)),
+            slopes(_split(rollouts.d_poses[:, poses, :, used], G)),
             slopes(side_by_side(rollouts.d_forces[..., used])),
         )
 
@@ -275,6 +283,13 @@ def _cut(*labels: NDArray[Any]) -> Iterator[slice]:
     changes = np.any([label[1:] != label[:-1] for label in labels], axis=0)
     ends = [0, *(np.flatnonzero(changes) + 1).tolist(), len(labels[0])]
     return (slice(first, last) for first, last in pairwise(ends))
+
+
+def _agree(maps: Maps, offsets: FloatArray) -> bool:
+    """Whether all of several hypotheses have the same maps, up to rounding, and start offsets (K, B, 3)."""
+    parts = maps.mass, maps.mu, maps.mu_finger, maps.effects
+    same = all((np.abs(part - part[:1]) <= 1e-12 * np.abs(part[:1])).all() for part in parts)
+    return same and len(offsets) > 1 and bool((offsets == offsets[:1]).all())
 
 
 def _split(rows: FloatArray, count: int) -> FloatArray:

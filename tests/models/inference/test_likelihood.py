@@ -122,6 +122,28 @@ def test_derivatives_give_the_same_equations_in_columns_and_in_coordinates(likel
         assert found[1][name] == pytest.approx(value, rel=1e-9, abs=1e-9 * np.abs(value).max()), name
 
 
+def test_hypotheses_that_agree_are_rolled_out_once(likelihood, monkeypatch):
+    prior, B = likelihood.prior, len(likelihood.observations)
+    strength = np.array([0.7, 1.0, 1.4])
+    z = prior.rescaled(0.2 * np.random.default_rng(4).standard_normal(prior.size), strength)
+    offsets, weights = np.full((3, B, 3), 1e-4), np.random.default_rng(5).uniform(0.5, 1.5, (3, B))
+    rolled, rollout = [], prior.slider.rollout
+    monkeypatch.setattr(
+        prior.slider, "rollout", lambda maps, *a, **kw: rolled.append(len(maps)) or rollout(maps, *a, **kw)
+    )
+    together = likelihood.linearise(z, offsets, strength, weights)
+    assert rolled == [1]
+    for k in range(3):
+        one = slice(k, k + 1)
+        alone = likelihood.linearise(z[one], offsets[one], strength[one], weights[one])
+        for name in ("cost", "hessian", "gradient"):
+            ours, theirs = getattr(together, name)[one], getattr(alone, name)
+            assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9 * np.abs(theirs).max()), name
+    offsets[1, 0, 0] = 0.0
+    likelihood.linearise(z, offsets, strength, weights)
+    assert rolled[-1] == 3
+
+
 def test_a_fit_that_cannot_reach_a_useful_cost_is_given_up(likelihood):
     starts = np.array([likelihood.prior.start(mu) for mu in (0.15, 0.35)])
     iterations: dict[float | None, int] = {}
