@@ -77,7 +77,7 @@ def fit_with_trust(
         own = part_of(progress, rung, len(MODEL_ERRORS))
         if near is not None and rung < len(near):
             starts = near[rung][1].z
-        best = fit(likelihood, starts, offsets=offsets, progress=own).best()
+        best = fit(likelihood, starts, offsets=offsets, worth=np.inf, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:
             break

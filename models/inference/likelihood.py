@@ -37,6 +37,10 @@ _ALIKE = 2**22
 """The same for pushes whose residuals are weighted together; what the cache holds is fastest."""
 
 
+_MANY_COLUMNS = 2.0
+"""From this ratio of a rollout's columns to coordinates on, derivatives are converted to coordinates."""
+
+
 @dataclass(frozen=True)
 class LikelihoodSettings:
     """How far the data are trusted."""
@@ -112,11 +116,12 @@ class PushLikelihood(ABC):
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
         poses = np.array([len(observation.poses) for observation in self.observations], dtype=np.int64)
-        forces = [0 if push.force_times is None else len(push.force_times) for push in self._pushes]
+        times = [push.force_times for push in self._pushes]
+        forces = np.array([0 if own is None else len(own) for own in times], dtype=np.int64)
         self._order = np.lexsort((forces, poses))
         # In that order: which pushes have equally many poses, and how many rows of derivatives each has.
         self._kind = poses[self._order]
-        self._rows = (3 * poses + 2 * np.array(forces, dtype=np.int64))[self._order]
+        self._rows = (3 * poses + 2 * forces)[self._order]
 
     def linearise(
         self,
@@ -141,16 +146,20 @@ class PushLikelihood(ABC):
         maps = prior.maps(z, strength)
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        # Normal equations in the rollout's own columns, which are fewer than the coordinates; pushes that
-        # stay away from the table's rim have only the first columns.
+        # Normal equations in the rollout's own columns, unless these are many more than the coordinates;
+        # pushes that stay away from the table's rim have only the first columns.
         columns, start = prior.columns(maps, strength), prior.start_columns
+        convert = columns.shape[1] > _MANY_COLUMNS * d
+        rolled_out = self._rolled_out(maps, offsets, columns, convert=convert)
+        if convert:
+            columns, start = np.eye(d + 3, d)[None], slice(d, d + 3)
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
         couplings = np.empty((B, K, d, 3))
         push_gradients = np.empty((B, K, d)) if by_push else None
-        for alike in self._rolled_out(maps, offsets, P):
+        for alike in rolled_out:
             own = alike.pushes
             J, r, own_cost = self._whitened(alike)
             G, p = len(own), J.shape[-1]
@@ -181,30 +190,54 @@ class PushLikelihood(ABC):
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings, push_gradients)
 
-    def _rolled_out(self, maps: Maps, offsets: FloatArray, columns: int) -> Iterator[Alike]:
-        """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P `columns` take
-        at most about `_JACOBIANS` bytes, and of these those of one size together."""
+    def _rolled_out(
+        self, maps: Maps, offsets: FloatArray, columns: FloatArray, *, convert: bool
+    ) -> Iterator[Alike]:
+        """All pushes from starts moved by offsets (K, B, 3), in batches whose Jacobians over P columns take
+        at most about `_JACOBIANS` bytes, and of these those of one size together.
+
+        With `convert`, derivatives are those by coordinates (d) and start (3); `columns` (K, P, d) are those
+        of the prior. Refits and folds set out from one fit: hypotheses that agree are rolled out once.
+        """
         K = len(maps)
-        size = 8 * K * columns * self._rows
+        if _agree(maps, offsets):
+            maps = Maps(maps.mass[:1], maps.mu[:1], maps.mu_finger[:1], maps.effects[:1])
+        size = 8 * K * columns.shape[1] * self._rows
         for part in _cut(np.cumsum(size) // _JACOBIANS):
             own = self._order[part]
             rollouts = self.prior.slider.rollout(
                 maps,
                 [self._pushes[b] for b in own],
                 sensitivities=True,
-                start_poses=self._starts[own] + offsets[:, own],
-                start_twists=np.broadcast_to(self._twists[own], (K, len(own), 3)),
+                start_poses=self._starts[own] + offsets[: len(maps), own],
+                start_twists=np.broadcast_to(self._twists[own], (len(maps), len(own), 3)),
             )
             reached = np.asarray(rollouts.reached.any(axis=0))
             for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
-                yield self._alike(own, alike, rollouts, reached[alike.start])
+                used = slice(None) if reached[alike.start] else slice(self.prior.slider.columns)
+                yield self._alike(own, alike, rollouts, used, columns, convert=convert)
 
-    def _alike(self, pushes: NDArray[np.int64], alike: slice, rollouts: Rollouts, reached: bool) -> Alike:
-        """Some of the rolled-out pushes, without the mass columns where these are all zero."""
+    def _alike(
+        self,
+        pushes: NDArray[np.int64],
+        alike: slice,
+        rollouts: Rollouts,
+        used: slice,
+        columns: FloatArray,
+        *,
+        convert: bool,
+    ) -> Alike:
+        """Some of the rolled-out pushes, with the used columns of the derivatives, or these converted."""
         own, G = pushes[alike], alike.stop - alike.start
         poses = slice(rollouts.pose_at[alike.start], rollouts.pose_at[alike.stop])
         ends = rollouts.force_at[alike.start : alike.stop + 1].tolist()
-        used = slice(None) if reached else slice(self.prior.slider.columns)
+
+        def spread(rows: FloatArray) -> FloatArray:
+            """The rows of each hypothesis, from those of each or of all."""
+            return np.broadcast_to(rows, (len(columns), *rows.shape[1:]))
+
+        def slopes(rows: FloatArray) -> FloatArray:
+            return self.prior.converted(spread(rows), columns) if convert else spread(rows)
 
         def side_by_side(rows: FloatArray) -> FloatArray:
             """(K, G, T, …) forces from those of all pushes (K, Σ, …)."""
@@ -218,10 +251,10 @@ class PushLikelihood(ABC):
 
         return Alike(
             own,
-            _split(rollouts.poses[:, poses], G),
-            side_by_side(rollouts.forces),
-            _split(rollouts.d_poses[:, poses, :, used], G),
-            side_by_side(rollouts.d_forces[..., used]),
+            spread(_split(rollouts.poses[:, poses], G)),
+            spread(side_by_side(rollouts.forces)),
+            slopes(_split(rollouts.d_poses[:, poses, :, used], G)),
+            slopes(side_by_side(rollouts.d_forces[..., used])),
         )
 
     def _told(self, b: int, forces: FloatArray) -> FloatArray:
@@ -250,6 +283,13 @@ def _cut(*labels: NDArray[Any]) -> Iterator[slice]:
     changes = np.any([label[1:] != label[:-1] for label in labels], axis=0)
     ends = [0, *(np.flatnonzero(changes) + 1).tolist(), len(labels[0])]
     return (slice(first, last) for first, last in pairwise(ends))
+
+
+def _agree(maps: Maps, offsets: FloatArray) -> bool:
+    """Whether all of several hypotheses have the same maps, up to rounding, and start offsets (K, B, 3)."""
+    parts = maps.mass, maps.mu, maps.mu_finger, maps.effects
+    same = all((np.abs(part - part[:1]) <= 1e-12 * np.abs(part[:1])).all() for part in parts)
+    return same and len(offsets) > 1 and bool((offsets == offsets[:1]).all())
 
 
 def _split(rows: FloatArray, count: int) -> FloatArray:
@@ -343,7 +383,7 @@ class Likelihood(PushLikelihood):
         sliding = stacked([observation.sliding for observation in seen], alike.forces.shape[2])
         if sliding.any():
             used = sliding.any(axis=0)
-            measured = stacked([observation.forces for observation in seen], len(used))
+            measured = stacked([observation.forces for observation in seen], sliding.shape[1])
             error = alike.forces - measured
             sigma = self._force_sigmas[alike.pushes][:, None]
             share = np.minimum(1.0, settings.independent_forces / np.maximum(sliding.sum(axis=1), 1))

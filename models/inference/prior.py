@@ -20,9 +20,10 @@ positive and independent of units: an object of 165 kg is as likely as one of 16
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,10 +285,13 @@ class MapPrior(EffectCoordinates):
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
         """
+        return self.converted(derivative, self.columns(maps, strength))
+
+    def converted(self, derivative: FloatArray, columns: FloatArray) -> FloatArray:
+        """Do the same with given `columns`, of which the derivative may lack the last."""
         P = derivative.shape[-1]
-        rows = derivative.reshape(len(maps), -1, P)
-        by_start = rows[..., self.start_columns]
-        result = np.concatenate([rows @ self.columns(maps, strength)[:, :P], by_start], axis=-1)
+        rows = derivative.reshape(len(columns), math.prod(derivative.shape[1:-1]), P)
+        result = np.concatenate([rows @ columns[:, :P], rows[..., self.start_columns]], axis=-1)
         return result.reshape(*derivative.shape[:-1], self.size + 3)
 
     @property
@@ -353,8 +357,12 @@ class MapPrior(EffectCoordinates):
         return result
 
 
+@lru_cache(maxsize=16)
 def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
-    """(n, r) square root of the covariance of a map over the cells, truncated to its leading modes."""
+    """(n, r) square root of the covariance of a map over the cells, truncated to its leading modes.
+
+    It is computed once for each grid and kept, since every law and effect has a prior of its own.
+    """
     centers = grid.centers
     diameter = float(np.hypot(*(np.ptp(centers, axis=0) + grid.width)))
     distance = np.hypot(*(centers[:, None] - centers[None]).transpose(2, 0, 1)) / (settings.length * diameter)
@@ -362,4 +370,6 @@ def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
     covariance = (1.0 - settings.white) * alike + settings.white * np.eye(len(centers))
     values, vectors = np.linalg.eigh(covariance)
     order = np.argsort(values)[::-1][: settings.modes]
-    return vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0))
+    basis: FloatArray = vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0))
+    basis.flags.writeable = False
+    return basis

@@ -163,14 +163,15 @@ class CorrelatedLikelihood(PushLikelihood):
     def rows(self, z: FloatArray, offsets: FloatArray) -> list[Linearised]:
         """Residuals and derivatives of one hypothesis z (d,) with start offsets (B, 3), for all pushes."""
         maps = self.prior.maps(z[None])
-        columns = self.prior.columns(maps).shape[1]
+        columns = self.prior.columns(maps)
         found: dict[int, Linearised] = {}
-        for alike in self._rolled_out(maps, offsets[None], columns):
+        for alike in self._rolled_out(maps, offsets[None], columns, convert=True):
             (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
-            by_z, force_by_z = (self.prior.chain(maps, rows)[0] for rows in (pose_slopes, alike.d_forces))
             for place, b in enumerate(alike.pushes.tolist()):
                 T = len(self.measured.stretches[b])
-                found[b] = Linearised(pose[0, place], by_z[place], force[0, place, :T], force_by_z[place, :T])
+                found[b] = Linearised(
+                    pose[0, place], pose_slopes[0, place], force[0, place, :T], alike.d_forces[0, place, :T]
+                )
         return [found[b] for b in range(len(self.observations))]
 
     def _told(self, b: int, forces: FloatArray) -> FloatArray:

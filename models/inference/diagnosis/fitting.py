@@ -84,7 +84,7 @@ class Fitter:
         likelihood = CorrelatedLikelihood(prior, self.measured, error)
         # Gains are counted from here: an unfinished search would be mistaken for an effect.
         return _fitted(
-            (), likelihood, start.z[: prior.size], np.zeros(prior.size), start.offsets,
+            (), likelihood, [(start.z[: prior.size], start.offsets)], np.zeros(prior.size),
             iterations=80, tolerance=1e-5, progress=progress,
         )  # fmt: skip
 
@@ -95,7 +95,8 @@ class Fitter:
         strict one, with its many correlated rows, gets stuck on the way.
         """
         prior = self.prior(())
-        first = fit(self._forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()
+        own = part_of(progress, 0, 3)
+        first = fit(self._forgiving(prior), prior.starts(), worth=np.inf, progress=own).best()
         self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, 0.02, 0.08))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
@@ -131,6 +132,7 @@ class Fitter:
         values: FloatArray,
         *,
         afresh: bool = False,
+        worth: float = np.inf,
         iterations: int = 30,
         forgiving: int = 25,
     ) -> Fitted | None:
@@ -143,6 +145,7 @@ class Fitter:
             values: (P,) parameters to start from.
             afresh: start a second time from where the forgiving likelihood leads: without the effect, the
                 maps of `near` may be bent too far to find back.
+            worth: cost above which a fit is useless, and may be given up before its end.
             iterations: most iterations of each search.
             forgiving: most iterations under the forgiving likelihood.
 
@@ -158,10 +161,7 @@ class Fitter:
         maps, offsets = self.forgiving_start if near is None else (near.z, near.offsets)
         start = np.concatenate([maps[:plain], parameters])
         mean = np.where(shaping, start, 0.0)
-        found: list[Fitted] = []
-        if near is not None:
-            with suppress(RolloutError, np.linalg.LinAlgError):
-                found.append(_fitted(effects, likelihood, start, mean, offsets, iterations))
+        starts = [] if near is None else [(start, offsets)]
         if afresh:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, parameters])
@@ -170,8 +170,12 @@ class Fitter:
                     self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None],
                     iterations=forgiving,
                 )  # fmt: skip
-                found.append(_fitted(effects, likelihood, first.z[0], mean, first.offsets[0], iterations))
-        return min(found, key=lambda fitted: fitted.cost, default=None)
+                starts.append((first.z[0], first.offsets[0]))
+        # Both at once, or where one of them cannot be computed, the other.
+        for tried in (starts, *([one] for one in starts)) if starts else ():
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                return _fitted(effects, likelihood, tried, mean, iterations, worth=worth)
+        return None
 
     def scene(self, base: Fitted) -> Scene:
         """The scene from which effects derive their starting values, given a fit without effects."""
@@ -205,17 +209,23 @@ def _typical_speed(observations: Sequence[Observation]) -> float:
 def _fitted(
     effects: tuple[Effect, ...],
     likelihood: CorrelatedLikelihood,
-    start: FloatArray,
+    starts: Sequence[tuple[FloatArray, FloatArray]],
     mean: FloatArray,
-    offsets: FloatArray,
     iterations: int,
     tolerance: float = 2e-4,
+    worth: float = np.inf,
     progress: StageProgress | None = None,
 ) -> Fitted:
+    """The best fit from several starts, each coordinates (d,) and start offsets (B, 3).
+
+    Raises:
+        IndexError: there is no start.
+    """
+    z, offsets = (np.array(parts) for parts in zip(*starts, strict=True))
     found = fit(
-        likelihood, start[None], prior_mean=mean[None], offsets=offsets[None],
-        iterations=iterations, tolerance=tolerance, progress=progress,
-    )  # fmt: skip
+        likelihood, z, prior_mean=np.tile(mean, (len(z), 1)), offsets=offsets,
+        iterations=iterations, tolerance=tolerance, worth=worth, progress=progress,
+    ).best()  # fmt: skip
     return Fitted(effects, likelihood, found.z[0], mean, found.offsets[0], float(found.cost[0]))
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slipmap.models.inference.push_errors import Errors
 from slipmap.models.inference.results import Identification
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import DatasetError, PushDataset, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 
@@ -19,6 +20,12 @@ class LockedErrors:
     path: FloatArray  # (L,) ADD averaged over the trajectory, m
     final: FloatArray  # (L,) ADD at the end, m
     misfit: FloatArray  # (L,) of each, see `push_errors.Errors`
+
+    @classmethod
+    def of(cls, errors: Sequence[Errors]) -> LockedErrors:
+        """Join the errors of L pushes."""
+        names = ("mean_add", "final_add", "misfit")
+        return cls(*(np.array([getattr(error, name) for error in errors]) for name in names))
 
     @property
     def total_misfit(self) -> float:
@@ -39,6 +46,20 @@ def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
     return sorted(rng.choice(names, count, replace=False).tolist())
 
 
+def open_trials(dataset: PushDataset, locked: Collection[str]) -> list[Trial]:
+    """The trials that are not locked away.
+
+    Raises:
+        DatasetError: there are none.
+    """
+    trials = [trial for trial in dataset.trials if trial.name not in locked]
+    if not trials:
+        raise DatasetError(
+            f"dataset {dataset.name} has no push left to fit; set the role of at least one push to fit"
+        )
+    return trials
+
+
 def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
     """The dataset with the trials of these names held out and all others to learn from."""
     trials = tuple(
@@ -50,7 +71,4 @@ def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
 def locked_errors(learned: Identification) -> LockedErrors | None:
     """Errors of a belief on the pushes held out from it; None where there are none."""
     errors = [push.errors for push in learned.pushes if push.role == "heldout"]
-    if not errors:
-        return None
-    names = ("mean_add", "final_add", "misfit")
-    return LockedErrors(*(np.array([getattr(error, name) for error in errors]) for name in names))
+    return LockedErrors.of(errors) if errors else None

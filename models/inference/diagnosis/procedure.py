@@ -28,7 +28,7 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
-from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, with_locked
+from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, open_trials, with_locked
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
 from slipmap.models.inference.diagnosis.results import (
@@ -63,7 +63,7 @@ from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import identify, learn
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.results import Identification
-from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -101,17 +101,13 @@ def diagnose(
     rng = np.random.default_rng(seed)
     report("preparing pushes", 0, 1)
     locked = locked_trials(dataset, rng)
-    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
-    if quick and len(open_trials) > 10:
+    trials = open_trials(dataset, locked)
+    if quick and len(trials) > 10:
         # A quick diagnosis takes ten pushes, spread evenly.
-        kept = np.linspace(0, len(open_trials) - 1, 10).round().astype(int)
-        open_trials = [open_trials[b] for b in kept]
-    if not open_trials:
-        raise DatasetError(
-            f"dataset {dataset.name} has no push left to fit; set the role of at least one push to fit"
-        )
+        kept = np.linspace(0, len(trials) - 1, 10).round().astype(int)
+        trials = [trials[b] for b in kept]
     coarseness = QUICK_COARSENESS if quick else 1.0
-    observations = observe_all(dataset, open_trials, coarseness)
+    observations = observe_all(dataset, trials, coarseness)
     inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
     # What `identify` and `fit` learn from the same pushes judges the answer.

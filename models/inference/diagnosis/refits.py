@@ -67,7 +67,9 @@ def refit_candidates(
                 (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6
             )
         else:
-            fitted = fitter.with_effects((effect,), error, base, guess, afresh=True)
+            least = min((fitted.cost for fitted in found.values()), default=base.cost)
+            worth = _ceiling(base.cost, least)
+            fitted = fitter.with_effects((effect,), error, base, guess, afresh=True, worth=worth)
         if fitted is not None:
             found[effect.name] = fitted
     if not found:
@@ -81,7 +83,7 @@ def refit_candidates(
     progress(len(named), len(named) + 2)
     error = estimate_errors(best, fitter.noise)
     plain = fitter.base(error, base)
-    ceiling = best.cost + _WORTH_REFITTING * max(base.cost - best.cost, _WORTH_REFITTING_GAIN)
+    ceiling = _ceiling(base.cost, best.cost)
     fits = {}
     for name, fitted in found.items():
         if fitted.cost > ceiling and not (quick and name == favourite):
@@ -91,6 +93,11 @@ def refit_candidates(
             fits[name] = again
     progress(len(named) + 2, len(named) + 2)
     return Refits(plain, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
+
+
+def _ceiling(base: float, best: float) -> float:
+    """Cost up to which a candidate is refitted again, from that without effects and the best so far."""
+    return best + _WORTH_REFITTING * max(base - best, _WORTH_REFITTING_GAIN)
 
 
 def better_base(fitter: Fitter, refits: Refits) -> Fitted | None:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials, with_locked
+from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials, open_trials, with_locked
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
     JointCandidate,
@@ -238,9 +238,7 @@ class _Ground:
             errors(o, motion.middle_poses, motion.mean_forces, dataset.grid, noise)
             for o, motion in zip(self.locked, predicted_motion(belief, self.locked), strict=True)
         ]
-        names = ("mean_add", "final_add", "misfit")
-        rows = (np.array([getattr(one, name) for one in found]) for name in names)
-        return LockedErrors(*rows), self.taught.costs(self.locked, prior, z)
+        return LockedErrors.of(found), self.taught.costs(self.locked, prior, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -586,12 +584,7 @@ class _Inquiry:
 
 def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progress: StageProgress) -> _Ground:
     locked = locked_trials(dataset, rng)
-    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
-    if not open_trials:
-        raise DatasetError(
-            f"dataset {dataset.name} has no push left to fit; set the role of at least one push to fit"
-        )
-    taught = Taught.of(dataset, observe_all(dataset, open_trials), progress)
+    taught = Taught.of(dataset, observe_all(dataset, open_trials(dataset, locked)), progress)
     judging = [trial for trial in dataset.trials if trial.name in locked]
     return _Ground(taught, observe_all(dataset, judging), whole)
 

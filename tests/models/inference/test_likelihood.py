@@ -105,6 +105,58 @@ def test_lockstep_gives_what_each_start_gives_alone(likelihood):
         assert together.cost[k] == pytest.approx(alone.cost[0], rel=1e-9)
 
 
+@pytest.mark.parametrize("forces", [True, False])
+def test_derivatives_give_the_same_equations_in_columns_and_in_coordinates(likelihood, monkeypatch, forces):
+    """Where a rollout has many more columns than there are coordinates, these are used from the start."""
+    pushes = [push if forces else push.without_forces for push in likelihood.observations]
+    likelihood = Likelihood(likelihood.prior, pushes, GOOD_SENSORS, likelihood.settings)
+    rng = np.random.default_rng(3)
+    B = len(pushes)
+    z, strength = 0.2 * rng.standard_normal((2, likelihood.prior.size)), np.array([0.8, 1.2])
+    offsets, weights = 1e-4 * rng.standard_normal((2, B, 3)), rng.uniform(0.5, 1.5, (2, B))
+    found = []
+    for ratio in (0.0, np.inf):
+        monkeypatch.setattr("slipmap.models.inference.likelihood._MANY_COLUMNS", ratio)
+        found.append(vars(likelihood.linearise(z, offsets, strength, weights, by_push=True)))
+    for name, value in found[0].items():
+        assert found[1][name] == pytest.approx(value, rel=1e-9, abs=1e-9 * np.abs(value).max()), name
+
+
+def test_hypotheses_that_agree_are_rolled_out_once(likelihood, monkeypatch):
+    prior, B = likelihood.prior, len(likelihood.observations)
+    strength = np.array([0.7, 1.0, 1.4])
+    z = prior.rescaled(0.2 * np.random.default_rng(4).standard_normal(prior.size), strength)
+    offsets, weights = np.full((3, B, 3), 1e-4), np.random.default_rng(5).uniform(0.5, 1.5, (3, B))
+    rolled, rollout = [], prior.slider.rollout
+    monkeypatch.setattr(
+        prior.slider, "rollout", lambda maps, *a, **kw: rolled.append(len(maps)) or rollout(maps, *a, **kw)
+    )
+    together = likelihood.linearise(z, offsets, strength, weights)
+    assert rolled == [1]
+    for k in range(3):
+        one = slice(k, k + 1)
+        alone = likelihood.linearise(z[one], offsets[one], strength[one], weights[one])
+        for name in ("cost", "hessian", "gradient"):
+            ours, theirs = getattr(together, name)[one], getattr(alone, name)
+            assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9 * np.abs(theirs).max()), name
+    offsets[1, 0, 0] = 0.0
+    likelihood.linearise(z, offsets, strength, weights)
+    assert rolled[-1] == 3
+
+
+def test_a_fit_that_cannot_reach_a_useful_cost_is_given_up(likelihood):
+    starts = np.array([likelihood.prior.start(mu) for mu in (0.15, 0.35)])
+    iterations: dict[float | None, int] = {}
+
+    def fitted(worth):
+        return fit(likelihood, starts, worth=worth, progress=lambda done, _: iterations.update({worth: done}))
+
+    whole, useless, useful = fitted(None), fitted(-1e6), fitted(np.inf)
+    assert iterations[-1e6] == 4 < iterations[None]
+    assert (useless.cost > whole.cost).all()
+    assert useful.best().cost == pytest.approx(whole.best().cost, rel=1e-9)
+
+
 def test_fit_lowers_the_cost_and_stays_at_a_minimum(likelihood):
     prior = likelihood.prior
     start = prior.start(0.35)[None]

@@ -150,7 +150,7 @@ def test_datasets_that_disagree_bound_an_effect_less(recorded):
 def test_signs_of_whole_pushes_turn_their_slopes_and_leave_the_prior_aside(parts):
     part, plain = parts[1], parts[1].prior.plain
     z = np.full((1, part.prior.size), 0.1)
-    equations = part.linearise(z, np.zeros((1, 3, 3)), np.ones(1), np.ones((1, 3)))
+    equations = part.linearise(z, np.zeros((1, 3, 3)), np.ones(1), np.ones((1, 3)), by_push=True)
     own, pull = np.array([plain]), z[0, :plain]
     signs = np.array([[1.0, -1.0, -1.0], [1.0, -1.0, 1.0], [1.0, -1.0, 1.0]])
     normal, slopes = _eliminated(equations, pull, own, signs)
