@@ -502,6 +502,7 @@ class StudyOfCopies(Study):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
             kept = folder.with_name(f"{folder.name}.kept")
             shutil.copytree(kept, folder, copy_function=os.link, symlinks=True, dirs_exist_ok=True)
+        self.copy = 0
         os.write(self.answer, b"b")
 
 
