@@ -166,6 +166,8 @@ class Prediction:
         }
 
 
+_CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees twice may differ
+
 Predictor = Callable[[Belief, Sequence[Observation]], Sequence[Motion]]
 
 
@@ -194,14 +196,17 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
-    """Raise BeliefError if a dataset's outline or finger differs from the belief's."""
+    """Raise BeliefError if a dataset's outline or finger differs from the belief's.
+
+    Outlines may differ by 2 % of the area, or by half a millimetre all around, as those that a camera sees do.
+    """
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
             f"the belief is about a finger of radius {belief.finger_radius} m, but dataset {dataset.name}"
             f" has {dataset.finger_radius} m; identify this dataset instead"
         )
     ours, theirs = belief.grid.polygon, dataset.grid.polygon
-    if ours.symmetric_difference(theirs).area > 0.02 * ours.area:
+    if ours.symmetric_difference(theirs).area > max(0.02 * ours.area, _CAMERA_ERROR * ours.length):
         raise BeliefError(
             f"the belief is about a different object from dataset {dataset.name}: their outlines differ; "
             "identify this dataset instead"

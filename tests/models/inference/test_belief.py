@@ -1,5 +1,7 @@
 """Belief files: whole round trip, and clear words for anything else."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -7,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 import slipmap
 from slipmap.models.inference import belief
 from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.inference.prediction import check_same_object
 from slipmap.models.measurements import Table
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Smoothing
@@ -144,3 +147,23 @@ def test_a_belief_and_its_dataset_are_shown_in_a_line() -> None:
     assert repr(result.belief) == "Belief(dataset 'hammer': 2 hypotheses about 60 cells)"
     assert repr(result).startswith(f"Identification({result.belief!r}; mean ADD at the end ")
     assert repr(result).endswith("over 1 heldout pushes)")
+
+
+@pytest.mark.parametrize(("wider", "same"), [(8e-4, True), (2e-3, False)])
+def test_an_outline_seen_again_is_that_of_the_same_object(wider, same):
+    """Of a bar of 10 by 200 mm; 0.8 mm more width are 8 % of its area, but 0.4 mm on each side."""
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
+    bar, seen = (
+        cells_from_polygon([[0, -w], [0.2, -w], [0.2, w], [0, w]], count=20)
+        for w in (0.005, 0.005 + wider / 2)
+    )
+    maps = Maps(np.full((1, len(bar)), 0.01), np.full((1, len(bar)), 0.3), np.array([0.2]))
+    belief = Belief(
+        bar, dataset.finger_radius, 9.8, maps, np.ones(1), Smoothing(), "bar", "abc", "gauss-newton", 0, {}
+    )
+    again = dataclasses.replace(dataset, grid=seen)
+    if same:
+        check_same_object(belief, again)
+    else:
+        with pytest.raises(BeliefError, match="outlines differ"):
+            check_same_object(belief, again)
