@@ -198,7 +198,7 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
     """Raise BeliefError if a dataset's outline or finger differs from the belief's.
 
-    Outlines may differ by 2 % of the area, or by half a millimetre all around, as those that a camera sees do.
+    Outlines may differ by 2 % of the area, or by half a millimetre all around, as a camera sees them.
     """
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
