@@ -304,7 +304,6 @@ class _Inquiry:
         stage = partial(self.report, "screening effects")
         first = self.together.first_gains(self.effects, stage, draws, self.rng)
         base = self.together.fitted((), ())
-        fits = self.fits
         evidence: dict[str, float] = {}
         objections: dict[str, str] = {}
         for step, one in enumerate(first[:_REFITTED]):
@@ -314,7 +313,7 @@ class _Inquiry:
             except (RolloutError, np.linalg.LinAlgError):
                 objections[one.effect.name] = "not refitted"
                 continue
-            fits[one.effect.name] = fit
+            self.fits[one.effect.name] = fit
             self.starts[one.effect.name] = one.start
             evidence[one.effect.name] = fit.evidence(base)
         self.report("refitting with effects", _REFITTED, _REFITTED)
@@ -322,7 +321,7 @@ class _Inquiry:
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
         judged = [
-            self._judge(fits[name], evidence[name], part_of(stage, step, len(asked)))
+            self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked)))
             for step, name in enumerate(asked)
         ]
         self.judged = {one.name: one for one in judged}
@@ -342,7 +341,7 @@ class _Inquiry:
                 one.effect.name,
                 one.gain,
                 one.p_value,
-                base.cost - fits[one.effect.name].cost if one.effect.name in fits else None,
+                base.cost - self.fits[one.effect.name].cost if one.effect.name in self.fits else None,
                 evidence.get(one.effect.name),
                 any(one.effect.name == rival.name for rival in kept),
                 objections.get(one.effect.name),
