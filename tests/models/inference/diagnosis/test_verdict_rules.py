@@ -129,7 +129,8 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False,
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
     inquiry = object.__new__(steps.Inquiry)
-    refits = SimpleNamespace(error=None, fits={"some": None}, gains={"some": refitted})
+    plain = SimpleNamespace(likelihood=SimpleNamespace(error=None))
+    refits = SimpleNamespace(plain=plain, fits={"some": None}, gains={"some": refitted})
     monkeypatch.setattr(steps, "refit_candidates", lambda *arguments, **options: refits)
     for name, value in {
         "rules": SimpleNamespace(
