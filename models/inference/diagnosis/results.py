@@ -135,8 +135,8 @@ class Diagnosis(Outcome):
         push = "record more pushes into the dataset (imported files: import all again)"
         if self.next_push is not None:
             push = (
-                "record the proposed push and add it with `role: fit` (imported files: import all again, then"
-                " set its role in the dataset.yaml)"
+                "record the proposed push and add it with `role: fit` (imported files: list those to hold out"
+                " under `heldout` in the setup.yaml, and import all again)"
             )
         if self.quick and self.verdict != "adequate":
             return f"run {again} without --quick to learn how certain this is."

@@ -74,6 +74,7 @@ class ImportSetup:
 
     setup: Setup
     channels: Mapping[str, ChannelSetup]  # by name, in the order of CHANNELS
+    heldout: tuple[str, ...] | None  # names of the pushes to hold out; None for the last quarter
     warnings: tuple[str, ...]
 
     @property
@@ -89,7 +90,7 @@ def parse_import_setup(
     """Build an import setup from a parsed mapping.
 
     Args:
-        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and keys that channels share.
+        document: keys of `SETUP_KEYS`, `csv`, `heldout`, the names of channels, and keys that channels share.
         where: the file, for error messages.
         default_name: of the dataset, if the document gives none.
         described: keys `object` and `finger`, if the document has none.
@@ -98,7 +99,7 @@ def parse_import_setup(
         DatasetError: a key that is missing, unknown or wrong. Unknown keys are refused because a typing error
             in a transform would make all numbers wrong.
     """
-    known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv"}
+    known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv", "heldout"}
     unknown = parsing.unknown_keys(document, known, where)
     if unknown:
         raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
@@ -123,7 +124,10 @@ def parse_import_setup(
         raise DatasetError(
             f"{where}: `object_pose` is null; nothing can be learned without the object's pose"
         )
-    return ImportSetup(setup, channels, tuple(warnings))
+    heldout = document.get("heldout")
+    if heldout is not None and not (isinstance(heldout, list) and all(isinstance(n, str) for n in heldout)):
+        raise DatasetError(f"{where}: heldout must be a list of pushes' names, got {parsing.shown(heldout)}")
+    return ImportSetup(setup, channels, None if heldout is None else tuple(heldout), tuple(warnings))
 
 
 def _filled(said: object, described: object) -> object:

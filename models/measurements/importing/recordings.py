@@ -64,7 +64,7 @@ def import_dataset(
     Files that belong together form one recording: those whose patterns match the same text at the `*`. A
     recording is brought to one clock, cut into pushes where the object rests and the finger leaves it, or
     where the object is carried, and checked as in `read_dataset`. The processing steps are listed in the
-    dataset's `provenance`. The last quarter of the pushes is held out.
+    dataset's `provenance`. The last quarter of the pushes is held out, unless the setup names others.
 
     Args:
         sources: files and folders.
@@ -130,7 +130,7 @@ def import_dataset(
             done.setdefault(step, []).append(label)
     parts = len({label for one in read.values() for label in one.labels})
     warnings = parsing.grouped(warnings)
-    trials = last_held_out([trial for one in read.values() for trial in one.trials])
+    trials = _with_roles([trial for one in read.values() for trial in one.trials], said.heldout, where)
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (
         f"imported from {parsing.listed(list(files))}",
@@ -146,6 +146,20 @@ def import_dataset(
         **vars(said.setup), trials=tuple(kept), fingerprint=fingerprint.hexdigest(),
         warnings=(*warnings, *doubts), provenance=tuple(" ".join(text.split()) for text in provenance),
     )  # fmt: skip
+
+
+def _with_roles(trials: list[Trial], heldout: Sequence[str] | None, where: str) -> list[Trial]:
+    """The pushes with those held out that a setup names, or the last quarter."""
+    if heldout is None:
+        return last_held_out(trials)
+    names = [trial.name for trial in trials]
+    strangers = [name for name in heldout if name not in names]
+    if strangers:
+        raise DatasetError(
+            f"{where}: heldout: no push is named {parsing.listed(strangers)}; there are"
+            f" {parsing.listed(names)}"
+        )
+    return [replace(trial, role="heldout") if trial.name in heldout else trial for trial in trials]
 
 
 # Which files belong together.

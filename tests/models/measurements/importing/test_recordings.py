@@ -226,6 +226,37 @@ def test_a_push_has_one_number_however_files_write_it(tmp_path):
     assert dataset.trials[1].tip_pose.values[0] == pytest.approx(TIP[0] + 0.01)
 
 
+@pytest.mark.parametrize(
+    ("heldout", "roles"),
+    [("", "fff"), ("heldout: [p.csv#1, p.csv#3]\n", "hfh"), ("heldout: []\n", "fff")],
+)
+def test_a_setup_says_which_pushes_are_held_out(tmp_path, heldout, roles):
+    """Otherwise it is the last quarter, rounded down."""
+    numbers = np.repeat([1, 2, 3], len(TIME))
+    columns = [numbers, np.tile(TIME, 3), np.tile(POSE, (3, 1)), np.tile(TIP, (3, 1))]
+    file = written(tmp_path / "p.csv", ["push_id", "t", "x", "y", "theta", "a", "b"], columns)
+    setup = tmp_path / "s.yaml"
+    setup.write_text(SETUP + "tip_pose: {position: [a, b]}\n" + heldout)
+    assert "".join(trial.role[0] for trial in import_dataset(file, setup).trials) == roles
+
+
+@pytest.mark.parametrize(
+    ("heldout", "said"),
+    [
+        ("[p.csv#4]", r"s\.yaml: heldout: no push is named p\.csv#4; there are p\.csv#1, p\.csv#2"),
+        ("p.csv#1", r"s\.yaml: heldout must be a list of pushes' names, got 'p\.csv#1'"),
+        ("[1]", r"heldout must be a list of pushes' names, got \[1\]"),
+    ],
+)
+def test_a_push_to_hold_out_that_is_not_there_is_refused(tmp_path, heldout, said):
+    numbers = np.repeat([1, 2], len(TIME))
+    columns = [numbers, np.tile(TIME, 2), np.tile(POSE, (2, 1)), np.tile(TIP, (2, 1))]
+    file = written(tmp_path / "p.csv", ["push_id", "t", "x", "y", "theta", "a", "b"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + f"tip_pose: {{position: [a, b]}}\nheldout: {heldout}\n")
+    with pytest.raises(DatasetError, match=said):
+        import_dataset(file, tmp_path / "s.yaml")
+
+
 def test_provenance_names_the_pushes_that_were_treated_otherwise(tmp_path):
     """Of three numbered pushes, the second is cut: after a rest the finger returns and pushes again."""
     back = np.linspace(TIP[-1], TIP[-1] - [0.02, 0.0], 50)
