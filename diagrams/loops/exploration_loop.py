@@ -286,7 +286,7 @@ def add_exploration(
         guard=None if cell is None else add("guard", CommandGuard(model, scenario.guard)),
         perception=add(
             "perception",
-            # After the last push to learn from, the outline stays, so that pushes to judge teach nothing.
+            # As many places as there are pushes to learn from, so that the last belief's outline stays.
             CellPerception(
                 scenario.camera, options.cells, station.arm_hulls, worker, known, options.teaching + 1
             ),

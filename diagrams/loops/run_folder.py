@@ -252,8 +252,9 @@ class Recording:
             self._found = found
             first = output_of(self._loop, "perception", "first_picture", root)
             rests = output_of(self._loop, "perception", "rests", root)
+            seen = () if rests is None else rests.offsets
             self._record.keep(
-                RecordedRun(trials, self._choices, self._places, grid, first, rests.offsets, watch, repair)
+                RecordedRun(trials, self._choices, self._places, grid, first, seen, watch, repair)
             )
             return
         rows = output_of(self._loop, "logger", "under_way", root)

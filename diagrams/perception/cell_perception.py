@@ -61,7 +61,7 @@ class _Memory:
     first: FirstPicture | None = None
     last_pose: FloatArray | None = None
     doubtful: bool = False
-    rests: Rests | None = None  # where the object rested
+    rests: Rests | None = None  # where the object rested; None keeps the outline as it is
     grid: CellGrid | None = None  # its cells, with the outline as seen at these places
 
 
@@ -125,8 +125,8 @@ class _Eye:
     def _outlined(self, memory: _Memory, image: DepthImage, view: View, blocked: Mask | None) -> _Memory:
         """With the outline as seen in a picture of the object at its last pose, if it adds to the outline."""
         seen, rests, pose = memory.seen, memory.rests, memory.last_pose
-        assert seen is not None and rests is not None and pose is not None
-        if len(rests.offsets) >= self.places or not rests.wants(pose):
+        assert seen is not None and pose is not None
+        if rests is None or len(rests.offsets) >= self.places or not rests.wants(pose):
             return memory
         after = rests.with_look(pose, outline_offsets(image, view, seen, pose, blocked))
         if len(after.offsets) == len(rests.offsets):
@@ -214,7 +214,8 @@ class CellPerception(PythonSystem):
         worker: processes the pictures and skips those that come meanwhile. If None, a thread of this process,
             for which the simulation waits if it is not done in time.
         known: the first picture of an earlier process, the (3,) pose at which it last saw the object, and the
-            offsets of the outline, as in `Rests`; with them there is no first look.
+            offsets of the outline, as in `Rests`; with them there is no first look. Without any offsets the
+            outline stays that of the first picture.
         places: number of places where the object rests from which its outline is made.
 
     Raises:
@@ -256,7 +257,8 @@ class CellPerception(PythonSystem):
             seen = first.seen(self._eye.camera)
             start = replace(
                 start, history=history, seen=seen, first=first, last_pose=last_pose,
-                rests=Rests(tuple(offsets), last_pose), grid=first.grid(self._eye.camera, offsets),
+                rests=Rests(tuple(offsets), last_pose) if len(offsets) else None,
+                grid=first.grid(self._eye.camera, offsets),
             )  # fmt: skip
         self._memory = memory = self.DeclareAbstractState(held(start))
         self._job = self.DeclareAbstractState(held(_NO_JOB))

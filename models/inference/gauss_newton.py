@@ -20,10 +20,10 @@ from slipmap.models.progress import StageProgress, part_of
 _EQUATIONS = 2**29
 """Most bytes for the normal equations of hypotheses fitted together; the pushes' starts take most of them."""
 
-_UNDECIDED, _OUT_OF_REACH = 3, 10.0
+_UNDECIDED, _OUT_OF_REACH = 3, 30.0
 """A hypothesis is not given up in its first iterations, nor later unless it is behind by more than this
 factor times what an undamped step promises. In the diagnoses of two datasets (effects/public-tilt and
-public-field), no search fell by more than 9.5 times that from there on."""
+public-field), no search fell by more than 9.5 times that from there on; this is three times as much."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -198,7 +198,8 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
     """Raise BeliefError if a dataset's outline or finger differs from the belief's.
 
-    Outlines may differ by 2 % of the area, or by half a millimetre all around, as a camera sees them.
+    Outlines may differ by half a millimetre all around, as a camera sees them, but by no less than 2 % of the
+    area and no more than 10 %.
     """
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
@@ -206,7 +207,8 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
             f" has {dataset.finger_radius} m; identify this dataset instead"
         )
     ours, theirs = belief.grid.polygon, dataset.grid.polygon
-    if ours.symmetric_difference(theirs).area > max(0.02 * ours.area, _CAMERA_ERROR * ours.length):
+    allowed = np.clip(_CAMERA_ERROR * ours.length, 0.02 * ours.area, 0.1 * ours.area)
+    if ours.symmetric_difference(theirs).area > allowed:
         raise BeliefError(
             f"the belief is about a different object from dataset {dataset.name}: their outlines differ; "
             "identify this dataset instead"

@@ -151,8 +151,8 @@ class PushRecorder:
     and renamed; the dataset's description, which names the trials, follows in the same way.
 
     Args:
-        folder: of the dataset; its parent exists. An existing push dataset of an earlier run stays until the
-            first push is kept, which replaces it.
+        folder: of the dataset; its parent exists. An existing push dataset of an earlier run stays until
+            `clear`, or until the first push is kept, which replaces it.
         kept: number of trials of this recording that are already in the folder.
 
     Raises:

@@ -264,10 +264,11 @@ class Rests:
 
     def with_look(self, pose: FloatArray, offsets: FloatArray) -> Rests:
         """With another look at the object, at a pose (3,); one from which much is hidden does not count."""
-        if (np.abs(pose - self.place) > _ELSEWHERE).any():
+        # A place is complete once the object has rested there; while it slides slowly, it begins anew.
+        limit = _ELSEWHERE if self.complete else _ELSEWHERE / 4.0
+        if (np.abs(pose - self.place) > limit).any():
             return replace(self, place=pose, looks=(), complete=False).with_look(pose, offsets)
-        most = max((np.isfinite(earlier).sum() for earlier in self.offsets), default=0)
-        if np.isfinite(offsets).sum() < _SEEN_WELL * most:
+        if np.isfinite(offsets).sum() < _SEEN_WELL * np.isfinite(self.offsets[0]).sum():
             return self
         looks = (*self.looks, offsets)
         if len(looks) < _LOOKS:

@@ -103,6 +103,8 @@ def evidence(diagnosis: Diagnosis) -> str:
         text += f"; {count} more {'was' if count == 1 else 'were'} locked away to test the answer"
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
+        if diagnosis.verdict == "adequate" and diagnosis.p_value <= LEVEL:
+            text += ", but it does not stand when the effect is refitted"
     return (
         f"{text}. Gain: natural logarithm (nats) of how much more probable an effect makes left-out pushes;"
         " 10 nats are a factor of 22,000. Refitted: how much more probable it makes the open pushes once"
@@ -314,8 +316,8 @@ JOINT_ERRORS = (
 
 
 JOINT_BOUNDS = (
-    "How large other effects could still be beside the answer, to first order; where the pushes do not tell,"
-    " the effect is left out"
+    "How large other effects could still be beside the answer (the first of several), to first order; where"
+    " the pushes do not tell, the effect is left out"
 )
 
 

@@ -171,11 +171,15 @@ class Fitter:
                     iterations=forgiving,
                 )  # fmt: skip
                 starts.append((first.z[0], first.offsets[0]))
-        # Both at once, or where one of them cannot be computed, the other.
-        for tried in (starts, *([one] for one in starts)) if starts else ():
+        if len(starts) > 1:
             with suppress(RolloutError, np.linalg.LinAlgError):
-                return _fitted(effects, likelihood, tried, mean, iterations, worth=worth)
-        return None
+                return _fitted(effects, likelihood, starts, mean, iterations, worth=worth)
+        # One of them cannot be computed, but perhaps the other.
+        found: list[Fitted] = []
+        for one in starts:
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                found.append(_fitted(effects, likelihood, [one], mean, iterations, worth=worth))
+        return min(found, key=lambda fitted: fitted.cost, default=None)
 
     def scene(self, base: Fitted) -> Scene:
         """The scene from which effects derive their starting values, given a fit without effects."""

@@ -217,6 +217,7 @@ class Inquiry:
             return self.run()
         missing = missing and not self.rules.vanishes(self.first, self.refits.gains)
         if not missing and max(self.refits.gains.values(), default=0.0) < UNKNOWN_GAIN:
+            self.error = self.base.likelihood.error
             return self._nothing_found()
         disagreement = self._disagreement()
         if disagreement is not None:

@@ -335,7 +335,8 @@ class _Inquiry:
         if draws:
             answer = kept[0].fit if kept else base
             starts = {one.effect: one.start for one in first}
-            remaining = self.together.remaining(self.effects, [starts[e] for e in self.effects], answer)
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                remaining = self.together.remaining(self.effects, [starts[e] for e in self.effects], answer)
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
@@ -349,6 +350,7 @@ class _Inquiry:
                     ParameterEstimate(one.effect.name, p.name, p.unit, *remaining[one.effect.name, p.name])
                     for p in one.effect.parameters
                     if (one.effect.name, p.name) in remaining
+                    and all(one.effect.name != rival.name for rival in kept)
                 ),
             )
             for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))

@@ -136,7 +136,8 @@ class Rules:
     def vanishes(self, first: Screening, gains: Mapping[str, float]) -> bool:
         """Whether every gain that counts is an effect's and shrinks to less than half when refitted.
 
-        A real gain grows with a refit, which is made on the same pushes and not on left-out ones.
+        A real gain grows with a refit, which is made on the same pushes and not on left-out ones. Gains of
+        effects that were not refitted, or dropped as far behind the best, stay.
         """
         counted = [
             i

@@ -34,16 +34,15 @@ def test_six_looks_at_a_new_place_count_once():
     assert six.offsets[1] == pytest.approx(1.5e-3, abs=1e-12)
 
 
-def test_a_run_that_kept_no_looks_begins_to_sharpen_where_it_goes_on():
-    assert len(with_looks(Rests((), HERE), THERE, 6).offsets) == 1
-
-
 def test_an_object_that_moves_or_is_hidden_is_not_at_rest():
     rests = Rests((np.zeros(20),), HERE)
     assert len(with_looks(rests, THERE, 30, hidden=3).offsets) == 1
     moving = rests
     for number in range(30):
         moving = with_looks(moving, HERE + np.array([0.0025 * number, 0, 0]), 1)
+    assert len(moving.offsets) == 1
+    for number in range(60):  # at 10 Hz, 3 mm/s
+        moving = with_looks(moving, HERE + np.array([0.0003 * number, 0, 0]), 1)
     assert len(moving.offsets) == 1
     # What was seen of one place does not count for the next.
     later = with_looks(with_looks(rests, THERE, 5, value=9e-3), 2 * THERE, 6)

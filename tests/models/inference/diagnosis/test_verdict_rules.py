@@ -137,7 +137,7 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False,
             missing=lambda screening: True, vanishes=lambda screening, gains: vanishes
         ),
         "_nothing_found": lambda: outcomes.nothing_missing(None),
-        "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
+        "fitter": None, "base": plain, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
