@@ -288,7 +288,7 @@ class MapPrior(EffectCoordinates):
         return self.converted(derivative, self.columns(maps, strength))
 
     def converted(self, derivative: FloatArray, columns: FloatArray) -> FloatArray:
-        """Do the same with given `columns`, of which the derivative may lack the last."""
+        """Convert derivatives like `chain`, with given `columns`; the last of them may be missing."""
         P = derivative.shape[-1]
         rows = derivative.reshape(len(columns), math.prod(derivative.shape[1:-1]), P)
         result = np.concatenate([rows @ columns[:, :P], rows[..., self.start_columns]], axis=-1)

@@ -254,7 +254,7 @@ class _Files:
 class _Recording:
     trials: list[Trial] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)  # what looks wrong
-    labels: list[str] = field(default_factory=list)  # of what was told apart by numbers or stamps
+    labels: list[str] = field(default_factory=list)  # of the parts separated by push numbers or stamps
     steps: list[tuple[str, str]] = field(default_factory=list)  # label, and what was done
     force_lags: list[Lag | None] = field(default_factory=list)  # of each part with a force to be aligned
 

@@ -124,12 +124,12 @@ def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
         assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
-def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False, refitted=1000.0):
-    """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
+def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False, refitted=1000.0):
+    """An inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
     inquiry = object.__new__(steps.Inquiry)
-    plain = SimpleNamespace(likelihood=SimpleNamespace(error=None))
+    base, plain = (SimpleNamespace(likelihood=SimpleNamespace(error=of)) for of in ("base", "best refit"))
     refits = SimpleNamespace(plain=plain, fits={"some": None}, gains={"some": refitted})
     monkeypatch.setattr(steps, "refit_candidates", lambda *arguments, **options: refits)
     for name, value in {
@@ -137,14 +137,18 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=False,
             missing=lambda screening: True, vanishes=lambda screening, gains: vanishes
         ),
         "_nothing_found": lambda: outcomes.nothing_missing(None),
-        "fitter": None, "base": plain, "effects": (), "scene": None, "draws": 0, "report": print,
+        "fitter": None, "base": base, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
-    return inquiry.run()
+    return inquiry
+
+
+def verdict(*arguments, **options):
+    return made_inquiry(*arguments, **options).run()
 
 
 @pytest.mark.parametrize(("gain", "said"), [(15.0, "undecided"), (40.0, "undecided"), (60.0, "unknown")])
@@ -153,7 +157,9 @@ def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
 
 
 def test_a_finding_that_vanishes_and_leaves_nothing_clear_is_adequate(monkeypatch):
-    assert verdict(monkeypatch, 15.0, vanishes=True, refitted=22.0).verdict == "adequate"
+    inquiry = made_inquiry(monkeypatch, 15.0, vanishes=True, refitted=22.0)
+    assert inquiry.run().verdict == "adequate"
+    assert inquiry.error == "base"  # that of the answer, not of the effect that was refitted
     assert verdict(monkeypatch, 15.0, vanishes=True, refitted=60.0).verdict == "undecided"
 
 
