@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 import yaml
 
+import slipmap
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis import fitting
+from slipmap.models.inference.diagnosis.fitting import Fitter
 from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identifiability import effect_quantities
 from slipmap.models.inference.identification import identify
+from slipmap.models.inference.observations import observe_all
 from slipmap.models.measurements import read_dataset
+from slipmap.models.physics.rollout import RolloutError
 
 
 @pytest.mark.parametrize(
@@ -62,3 +68,23 @@ def test_sizes_hold_the_truth_where_the_strict_fit_is_too_sure(shared_data: Path
     for name, value in truth.items():
         assert sizes[name].low < value < sizes[name].high
         assert sizes[name].high - sizes[name].low < 0.85 * tilt
+
+
+def test_starts_that_fail_together_are_tried_one_by_one(monkeypatch) -> None:
+    """One that cannot be rolled out spoils the fit of all; the better of those that can is kept."""
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
+    fitter = Fitter(dataset, observe_all(dataset), sensor_noise(dataset))
+    base = fitter.from_scratch(lambda done, total: None)
+    costs = iter([5.0, 3.0])
+    tried = []
+
+    def fitted(effects, likelihood, starts, mean, iterations, worth):
+        tried.append(len(starts))
+        if len(starts) > 1:
+            raise RolloutError("a made-up failure")
+        return SimpleNamespace(cost=next(costs))
+
+    monkeypatch.setattr(fitting, "_fitted", fitted)
+    effects = effects_named(["table_tilt"])
+    found = fitter.with_effects(effects, base.likelihood.error, base, np.zeros(2), afresh=True)
+    assert tried == [2, 1, 1] and found.cost == 3.0
