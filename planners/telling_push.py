@@ -31,6 +31,7 @@ from slipmap.models.geometry import angle_between, turn
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.results import Diagnosis, parameter_estimates
 from slipmap.models.inference.error_model import ErrorModel
+from slipmap.models.inference.fewer_cells import with_fewer_cells
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import PushDataset
@@ -107,6 +108,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     """
     if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
         return None
+    dataset = with_fewer_cells(dataset)
     observations = diagnosis.base.likelihood.observations
     habits = habits_of(observations, dataset)
     rng = np.random.default_rng(seed)

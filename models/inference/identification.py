@@ -25,12 +25,13 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.gauss_newton import fit as fit_maps
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, weighed
-from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import predict_observations, predicted_motion
+from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
+from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
@@ -96,8 +97,9 @@ def identify(
     if effects:
         from slipmap.models.inference.diagnosis.effect_search import find_effects
 
-        fitted = [observation for observation in observations if observation.role == "fit"]
-        found = find_effects(dataset, fitted, named(effects), np.random.default_rng(seed), report)
+        fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
+        few = with_fewer_cells(dataset)
+        found = find_effects(few, fitted, named(effects), np.random.default_rng(seed), report)
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
         prior_settings=prior_settings, friction_laws=friction_laws, started=started,
@@ -127,7 +129,7 @@ def learn(
         started: reading of `time.perf_counter` when the work began; now if None.
     """
     started = time.perf_counter() if started is None else started
-    fitted = [observation for observation in observations if observation.role == "fit"]
+    fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
     effects = () if found is None else found.effects
     # A force that contradicts the contact is useless unless an effect explains it.
     contradicted = not any(effect.only_force for effect in effects) and contradicted_by_contact(
@@ -136,25 +138,25 @@ def learn(
     if contradicted:
         fitted = [observation.without_forces for observation in fitted]
 
+    few = with_fewer_cells(dataset)
     every = explain(
-        dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
+        few, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
     )
     share_of_known = None
     if dataset.known is not None and found is None:
         free, own = replace(dataset, known=None), partial(report, "fitting free maps")
         rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
         share_of_known = weighed(rivals)[0].share
-    belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
+    learned = mixed_belief(few, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
-    motions = predicted_motion(belief, observations)
     left_out = leave_out(every[0].likelihood, every[0].best)
-    told = {**belief.settings, END_ERRORS: end_errors(left_out, noise)}
-    belief = replace(belief, settings=told)
-    predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
+    told = {**learned.settings, END_ERRORS: end_errors(left_out, noise)}
+    belief = spread_out(replace(learned, settings=told), dataset)
+    predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
-    facts = quantities(belief, informed, contradicted=contradicted)
-    facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
+    facts = quantities(learned, informed, contradicted=contradicted)
+    facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(
         belief, predictions, facts, time.perf_counter() - started, shares, share_of_known

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -21,6 +22,11 @@ SAMPLES = 30
 
 AVERAGED, DENSE = 5, 100
 """Tracker rows averaged into an observed pose, in trials with more than this many rows."""
+
+MOST_PUSHES = 1000
+"""Most pushes of a dataset to learn from; more would not help, because the model's own error stays."""
+
+T = TypeVar("T")
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
@@ -117,6 +123,14 @@ def observe_all(
     order = {trial.name: place for place, trial in enumerate(dataset.trials)}
     chosen = dataset.trials if trials is None else trials
     return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
+
+
+def to_learn_from(pushes: Sequence[T]) -> list[T]:
+    """The pushes that a model is fitted to: all, or `MOST_PUSHES` of them drawn at random, in their order."""
+    if len(pushes) <= MOST_PUSHES:
+        return list(pushes)
+    drawn = np.random.default_rng(0).choice(len(pushes), MOST_PUSHES, replace=False)
+    return [pushes[b] for b in np.sort(drawn)]
 
 
 def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:

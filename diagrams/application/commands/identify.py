@@ -273,9 +273,12 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         show_friction_laws,
         show_quantities,
     )
+    from slipmap.models.inference.observations import MOST_PUSHES
 
+    taught, fit = result.belief.taught, len(dataset.fit_trials)
+    drawn = f" ({taught} of them, drawn at random, were learned from)" if MOST_PUSHES == taught < fit else ""
     click.echo(
-        f"{printable(dataset.name)}: {len(dataset.grid)} cells; pushes: {len(dataset.fit_trials)} to fit,"
+        f"{printable(dataset.name)}: {len(dataset.grid)} cells; pushes: {fit} to fit{drawn},"
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(result.belief)} hypotheses found in {result.seconds:.0f} s\n"
     )

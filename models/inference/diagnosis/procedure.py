@@ -60,8 +60,9 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     worth_asking,
 )
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.fewer_cells import with_fewer_cells
 from slipmap.models.inference.identification import identify, learn
-from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.trial_checks import fault_of_frame
@@ -101,14 +102,15 @@ def diagnose(
     rng = np.random.default_rng(seed)
     report("preparing pushes", 0, 1)
     locked = locked_trials(dataset, rng)
-    trials = open_trials(dataset, locked)
+    trials = to_learn_from(open_trials(dataset, locked))
     if quick and len(trials) > 10:
         # A quick diagnosis takes ten pushes, spread evenly.
         kept = np.linspace(0, len(trials) - 1, 10).round().astype(int)
         trials = [trials[b] for b in kept]
     coarseness = QUICK_COARSENESS if quick else 1.0
     observations = observe_all(dataset, trials, coarseness)
-    inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
+    few = with_fewer_cells(dataset)
+    inquiry = Inquiry(few, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
     # What `identify` and `fit` learn from the same pushes judges the answer.
     divided = with_locked(dataset, locked)
@@ -135,7 +137,7 @@ def diagnose(
 
     outcome, learned = judged(outcome)
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
-        for again in inquiry.by_evidence(divided, seed):
+        for again in inquiry.by_evidence(with_locked(few, locked), seed):
             found, with_it = judged(again)
             if found.rivals:
                 outcome, learned = found, with_it

@@ -43,7 +43,7 @@ from slipmap.models.inference.diagnosis.results import (
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import check_request, learn, named
 from slipmap.models.inference.mixture import EffectsGiven
-from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.push_errors import errors
@@ -585,7 +585,8 @@ class _Inquiry:
 
 def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progress: StageProgress) -> _Ground:
     locked = locked_trials(dataset, rng)
-    taught = Taught.of(dataset, observe_all(dataset, open_trials(dataset, locked)), progress)
+    trials = to_learn_from(open_trials(dataset, locked))
+    taught = Taught.of(dataset, observe_all(dataset, trials), progress)
     judging = [trial for trial in dataset.trials if trial.name in locked]
     return _Ground(taught, observe_all(dataset, judging), whole)
 
