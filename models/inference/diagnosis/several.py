@@ -41,6 +41,7 @@ from slipmap.models.inference.diagnosis.results import (
     ParameterEstimate,
 )
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.fewer_cells import with_fewer_cells
 from slipmap.models.inference.identification import check_request, learn, named
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
@@ -284,7 +285,8 @@ class _Inquiry:
         seed: int,
         report: Progress,
     ) -> None:
-        self.effects, self.apart, self.seed, self.report = effects, apart, seed, report
+        self.datasets, self.effects, self.apart = datasets, effects, apart
+        self.seed, self.report = seed, report
         self.rng = rng = np.random.default_rng(seed)
         count = len(datasets)
         whole = rng.choice(count, count // _WHOLE_FROM, replace=False)
@@ -421,7 +423,7 @@ class _Inquiry:
         for k, ground in enumerate(self.grounds):
             values, scales = self._told_by_others(fit, k)
             found = EffectsGiven(self.effects, values, scales, judged.held[k])
-            dataset = with_locked(ground.taught.dataset, [o.trial for o in ground.locked])
+            dataset = with_locked(self.datasets[k], [o.trial for o in ground.locked])
             own = about(dataset.name, self.report)
             everything = observe_all(dataset)
             learned.append(
@@ -586,7 +588,7 @@ class _Inquiry:
 def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progress: StageProgress) -> _Ground:
     locked = locked_trials(dataset, rng)
     trials = to_learn_from(open_trials(dataset, locked))
-    taught = Taught.of(dataset, observe_all(dataset, trials), progress)
+    taught = Taught.of(with_fewer_cells(dataset), observe_all(dataset, trials), progress)
     judging = [trial for trial in dataset.trials if trial.name in locked]
     return _Ground(taught, observe_all(dataset, judging), whole)
 

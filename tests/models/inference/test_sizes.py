@@ -11,6 +11,7 @@ from slipmap.diagrams.application.commands.identify import show
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.identification import fit, identify
 from slipmap.models.inference.observations import to_learn_from
@@ -98,3 +99,6 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     assert found.next_push is not None
     unsure = telling_push.diagnose(fine.with_fit_pushes(3), quick=True)
     assert unsure.verdict == "undecided" and unsure.next_push is not None
+    again = replace(fine.with_fit_pushes(5), name="again")
+    together = fit_together([fine.with_fit_pushes(5), again], ["table_tilt"], hypotheses=2)
+    assert [len(one.belief.grid) for one in together.learned] == [len(fine.grid)] * 2
