@@ -108,7 +108,6 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     """
     if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
         return None
-    dataset = with_fewer_cells(dataset)
     observations = diagnosis.base.likelihood.observations
     habits = habits_of(observations, dataset)
     rng = np.random.default_rng(seed)
@@ -416,7 +415,7 @@ def _of_ordinary_size(
         values = np.clip(
             np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect])
         )
-        slider = slider_for(dataset, [effect])
+        slider = slider_for(with_fewer_cells(dataset), [effect])
         maps = Maps(plain.maps.mass, plain.maps.mu, plain.maps.mu_finger, values[None])
         rivals.append(Rival(effect.name, slider, maps))
     return rivals

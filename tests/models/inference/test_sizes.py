@@ -99,6 +99,7 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     assert found.next_push is not None
     unsure = telling_push.diagnose(fine.with_fit_pushes(3), quick=True)
     assert unsure.verdict == "undecided" and unsure.next_push is not None
+    assert telling_push.rivals_of(unsure, fine)
     again = replace(fine.with_fit_pushes(5), name="again")
     together = fit_together([fine.with_fit_pushes(5), again], ["table_tilt"], hypotheses=2)
     assert [len(one.belief.grid) for one in together.learned] == [len(fine.grid)] * 2
