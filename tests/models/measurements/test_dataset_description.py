@@ -98,6 +98,7 @@ def test_faults_in_the_description(example, change, words):
     ("change", "word"),
     [
         (set_at(["object", "cells", "centers", 3], [0.07, 0.0]), "1 of 25 centres lie outside the outline"),
+        (set_at(["object", "cells", "centers", 3], [0.053, 0.0]), "1 of 25 centres lie outside the outline"),
         (set_at(["object", "cells", "centers", 3], [0.04, 0.04]), "some cells overlap"),
         (set_at(["object", "cells", "centers", 3], [0.041, 0.04]), "some cells overlap"),
         (set_at(["object", "cells", "width"], 0.002), "area is 0.01 times that of the outline"),
@@ -120,6 +121,12 @@ def test_suspicions_about_the_description(example, change, word):
     change(example.document)
     warnings = read_dataset(example.write()).warnings
     assert len(warnings) == 1 and word in warnings[0], warnings
+
+
+def test_an_outline_seen_again_may_pass_a_little_inside_a_centre(example):
+    corners = [[-0.05, -0.05], [0.0395, -0.05], [0.0395, 0.05], [-0.05, 0.05]]
+    example.document["object"]["outline"] = corners
+    assert read_dataset(example.write()).warnings == ()
 
 
 def test_a_clockwise_outline_is_turned(example):
