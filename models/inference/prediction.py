@@ -243,13 +243,8 @@ def predict_observations(
     likeliest = belief.maps[best : best + 1]
     shift = 5e-4  # m, sideways shift of the start that shows how near balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
-    drawn, seen = _from_other_starts(belief, observations, noise), noise.of_poses
-    if predictor is not None:  # the draws are the slider's; they scatter about where the predictor ends
-        slider_ends = predicted_motion(belief, observations)
-        moved = [
-            own.poses[:, -1] - plain.poses[:, -1] for own, plain in zip(motions, slider_ends, strict=True)
-        ]
-        drawn = drawn + np.stack(moved, axis=1)
+    ends = None if predictor is None else np.stack([motion.poses[:, -1] for motion in motions], axis=1)
+    drawn, seen = drawn_ends(belief, observations, noise, ends), noise.of_poses
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         middle = motion.middle_poses
@@ -299,10 +294,21 @@ def effective_travel(travel: FloatArray) -> FloatArray:
     return np.hypot(travel, _LEAST_TRAVEL)
 
 
-def _from_other_starts(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
-    """(K, B, 3) ends of the hypotheses, each from starts that the tracker would see as the measured ones.
+def drawn_ends(
+    belief: Belief, observations: Sequence[Observation], noise: SensorNoise, ends: FloatArray | None = None
+) -> FloatArray:
+    """Ends of the hypotheses, each from starts that the tracker would see as the measured ones.
 
     A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.
+
+    Args:
+        belief: K hypotheses.
+        observations: B pushes.
+        noise: of the tracker.
+        ends: (K, B, 3) where another predictor than the belief's slider ends; the draws scatter about these.
+
+    Returns:
+        (K, B, 3) poses.
     """
     p = belief.probability
     # The same for every push, so that its region does not depend on which others are predicted with it.
@@ -311,7 +317,10 @@ def _from_other_starts(belief: Belief, observations: Sequence[Observation], nois
     offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
     starts = np.array([observation.push.start_pose for observation in observations])
     pushes = [observation.push for observation in observations]
-    return belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
+    drawn = belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
+    if ends is None:
+        return drawn
+    return drawn + ends - belief.slider.rollout(belief.maps, pushes).end[:, :, :3]
 
 
 def uniform_maps(belief: Belief) -> Maps:

@@ -18,7 +18,7 @@ from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import model_deviations
+from slipmap.models.inference.prediction import drawn_ends, model_deviations
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
@@ -114,20 +114,22 @@ def resting_misfit(
     return float(np.sqrt(square / n)), float(p)
 
 
-def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, error: ErrorModel) -> EndRegion:
+def resting_region(
+    observation: Observation, predicted: FloatArray, belief: Belief, error: ErrorModel
+) -> EndRegion:
     """Region in which an object may come to rest, as `Prediction.end_region`, from predicted rest poses.
 
-    The hypotheses start at one pose, so near balance the region is narrower than that of `Prediction`.
-
     Args:
-        start: (3,) pose before the push.
+        observation: the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.
         belief: the belief that predicted them; if it has no learned model error, α is used.
         error: noise of the poses, and α.
     """
+    start = observation.push.start_pose
     if END_ERRORS in belief.settings:
         off = model_deviations(belief, start, predicted)
-        return EndRegion.of(predicted, belief.probability, error.noise.of_poses, off)
+        drawn = drawn_ends(belief, [observation], error.noise, predicted[:, None])[:, 0]
+        return EndRegion.of(drawn, belief.probability, error.noise.of_poses, off)
     push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
     seen = observation_of(push, (belief.probability @ predicted)[None])
     sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]

@@ -15,9 +15,9 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from slipmap.diagrams.systems.model_monitor import LEVEL, Judged, ModelMonitor
 from slipmap.diagrams.systems.multiverse_slider import Universes, placed
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.end_region import EndRegion
-from slipmap.models.inference.error_model import ErrorModel
-from slipmap.models.inference.prediction import model_deviations
+from slipmap.models.inference.error_model import ErrorModel, sensor_noise
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.push_misfit import pose_noise, resting_misfit, resting_region
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise
@@ -219,18 +219,26 @@ def test_one_push_far_outside_its_region_is_told_at_once(diagram: Diagram) -> No
 
 def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors() -> None:
     """A model that was off by a tenth of the way is off by that again, and it is no surprise."""
-    (told,) = pushes_seen("", (), 1, 7)
-    assert told.universes is not None
-    error = ErrorModel(pose_noise(5e-4, 4e-3), 0.03, 0.0)
-    belief, poses = told.universes.belief, told.universes.poses
+    belief = block_belief()
+    likeliest = belief.maps[:1]
+    push = replace(table_pushes(1, 7)[0], pose_times=None)
+    dataset = record_pushes(belief.slider, likeliest, [push], np.random.default_rng(0), heldout=1)
+    (observation,) = observe_all(dataset)
+    poses = belief.slider.rollout(belief.maps, [observation.push]).end[:, 0, :3]
+    error = ErrorModel(sensor_noise(dataset), 0.03, 0.0)
+    elsewhere = observation.poses[-1] + np.array([0.02, 0.0, 0.0])
+    assert not resting_region(observation, poses, belief, error).holds(elsewhere)
     learned = replace(belief, settings={**belief.settings, "end_errors": [0.3, 0.3]})
-    elsewhere = told.end + np.array([0.02, 0.0, 0.0])
-    assert not resting_region(told.start, poses, belief, error).holds(elsewhere)
-    region = resting_region(told.start, poses, learned, error)
+    region = resting_region(observation, poses, learned, error)
     assert region.holds(elsewhere)
-    off = model_deviations(learned, told.start, poses)
-    same = EndRegion.of(poses, belief.probability, error.noise.of_poses, off)
-    assert np.allclose(region.covariance, same.covariance)
+    (predicted,) = predict(learned, dataset)
+    assert predicted.end_region is not None
+    np.testing.assert_allclose(region.covariance, predicted.end_region.covariance, rtol=1e-9)
+    np.testing.assert_allclose(region.middle, predicted.end_region.middle, atol=1e-12)
+    # Elsewhere, it lies about the poses at which the object came to rest.
+    shift = np.array([0.01, 0.0, 0.0])
+    moved_on = resting_region(observation, poses + shift, learned, error)
+    np.testing.assert_allclose(moved_on.middle, region.middle + shift, atol=1e-9)
 
 
 def test_noise_must_be_known() -> None:
