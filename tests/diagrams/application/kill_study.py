@@ -1,9 +1,9 @@
 """Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND ...]`.
 
-Each command first runs to its end and writes down what it does: the modules that it loads, the lines on
-standard error, and each time that it opens a file for writing, makes, renames or removes one. At ten of these
-events it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130 (or that of
-the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
+Each command first runs to its end and writes down what it does: the modules that it loads, and each time that
+it opens a file for writing, makes, renames or removes one. At some of these events, while its workers start,
+and amid the work, it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130
+(or that of the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
 left behind, a file that is not whole, results that lack some, temporary files that Ctrl-C leaves or that the
 next command does not remove, and whether the same command, or `--resume`, goes on afterwards.
 """
@@ -269,7 +269,7 @@ class Study:
             for index, moment in enumerate(moments):
                 self.fresh()
                 for text in self.ended(moment, number, index):
-                    self.complain(f"{number.name} at {moment.kind} {moment.what}", text)
+                    self.complain(f"{number.name} at {moment.what}", text)
         for text in self.goes_on():
             self.complain("afterwards", text)
         count = 2 * len(moments)
@@ -341,12 +341,13 @@ class Study:
                 first.setdefault(re.sub(r"[.]slipmap[.]\w+|\d+", "0", event), k)
         found = []
         for there, count in ((imports[: len(imports) // 4], 2), (sorted(first.values()), 3)):
-            for k in sorted({there[round(share * (len(there) - 1))] for share in np.linspace(0, 1, count)}):
+            shares = np.linspace(0.0, 1.0, count if there else 0)
+            for k in sorted({there[round(share * (len(there) - 1))] for share in shares}):
                 kind, _, what = events[k].partition(" ")
                 number = sum(event.startswith(kind) for event in events[: k + 1])
                 found.append(Moment(kind, what, number))
         if with_workers:
-            found += [Moment("worker", f"{after} s after its start", after=after) for after in (0.02, 0.7)]
+            found += [Moment("worker", f"{after} s after one started", after=after) for after in (0.02, 0.7)]
         rest = self.moments - len(found)
         shares = (np.arange(rest) + 0.5) / rest
         return found + [
@@ -380,7 +381,7 @@ class Study:
                 asked, before = now, spending(process.pid)[0]
             elif self.case.until and self.told() and now - begin > 1.5 * self.seconds:
                 process.send_signal(signal.SIGINT)
-                asked = now
+                asked, before = now, spending(process.pid)[0]
             elif not event:
                 since = now if since is None and count > 1 else since
                 waited = spent if moment.kind == "spent" else -1.0 if since is None else now - since
@@ -389,8 +390,9 @@ class Study:
                     asked, before = now, spent
         code, took = self.finished(process), max(spent - before, 0.0)
         self.stopped += code != self.whole
-        at = f"{number.name} at {moment.kind} {moment.what}"
-        print(f"    ({at}: exit code {code} after {took:.1f} s of work)", flush=True)
+        print(
+            f"    ({number.name} at {moment.what}: exit code {code} after {took:.1f} s of work)", flush=True
+        )
         yield from self.complaints(number, code, took, self.said())
         if left := processes(mark):
             yield f"left behind: {left}"
