@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from multiprocessing import resource_tracker
 from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
@@ -55,7 +56,9 @@ def workers() -> Iterator[Executor]:
     before = sys.getswitchinterval()
     pool: Any = ProcessPoolExecutor(COUNT, timeout=None, initializer=_prepare, initargs=(os.getpid(),))
     try:
-        wait([pool.submit(_load) for _ in range(COUNT)])
+        with deaf_workers():
+            loaded = [pool.submit(_load) for _ in range(COUNT)]
+        wait(loaded)
         gc.collect()
         gc.freeze()
         sys.setswitchinterval(_HAND_OVER)
@@ -64,6 +67,20 @@ def workers() -> Iterator[Executor]:
         sys.setswitchinterval(before)
         gc.unfreeze()
         pool.shutdown(wait=True, kill_workers=True)
+
+
+@contextmanager
+def deaf_workers() -> Iterator[None]:
+    """Workers that start meanwhile do not hear Ctrl-C, which reaches all processes of a terminal.
+
+    Before `prepare_worker` they would end with a traceback. In this process it is heard at the end.
+    """
+    resource_tracker.ensure_running()  # its start would end the block's effect
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _load() -> None:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slipmap.diagrams.systems.workers import prepare_worker
+from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
 from slipmap.models.files import replaced_file
 from slipmap.models.progress import StageProgress
 
@@ -215,9 +215,12 @@ def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]
     jobs_at_once = max(2, workers)
     watch = {"initializer": prepare_worker, "initargs": (os.getpid(),)}
     with parallel_config("loky", inner_max_num_threads=1, **watch):
-        yield from Parallel(
+        parallel = Parallel(
             n_jobs=jobs_at_once, batch_size=1, pre_dispatch=workers, return_as="generator_unordered"
-        )(jobs())
+        )
+        with deaf_workers():
+            outcomes = parallel(jobs())
+        yield from outcomes
 
 
 def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[TrialOutcome]:

@@ -26,7 +26,7 @@ from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
-from slipmap.diagrams.systems.workers import prepare_worker
+from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
 from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
 
 if TYPE_CHECKING:
@@ -317,8 +317,9 @@ def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
         initializer=prepare_worker,
         initargs=(os.getpid(),),
     )
-    futures = {pool.submit(_run, case): case for case in cases}
     try:
+        with deaf_workers():
+            futures = {pool.submit(_run, case): case for case in cases}
         for future in as_completed(futures):
             case, error = futures[future], future.exception()
             if error is not None:

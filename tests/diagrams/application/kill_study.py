@@ -1,9 +1,9 @@
 """Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND ...]`.
 
-Each command first runs to its end and writes down what it does: the modules that it loads, the lines on
-standard error, and each time that it opens a file for writing, makes, renames or removes one. At ten of these
-events it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130 (or that of
-the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
+Each command first runs to its end and writes down what it does: the modules that it loads, and each time that
+it opens a file for writing, makes, renames or removes one. At some of these events, while its workers start,
+and amid the work, it is then ended, by SIGINT and SIGKILL. Said is what is wrong: another exit code than 130
+(or that of the whole run, where the signal came too late, or where Ctrl-C is its end), a traceback, a process
 left behind, a file that is not whole, results that lack some, temporary files that Ctrl-C leaves or that the
 next command does not remove, and whether the same command, or `--resume`, goes on afterwards.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import select
 import shutil
 import signal
@@ -26,6 +27,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
+import numpy as np
 import trimesh
 import yaml
 from pydrake.lcm import DrakeLcm
@@ -87,7 +89,7 @@ def watch(plan):
                 end_a_copy(f"{event} {target}")
         elif [kind, counts[kind]] == plan["event"]:
             os.write(log, b"signal\n")
-            os.kill(me, plan["signal"])
+            (os.killpg if plan["group"] else os.kill)(me, plan["signal"])
         elif not plan["event"]:
             os.write(log, f"{kind} {event} {what}\n".encode())
 
@@ -114,7 +116,7 @@ class Coarse(CoulombEngine):
     dt = 4e-3
 """
 RECORDED = "udpm://239.255.76.98:7698?ttl=0"
-PATIENCE = 30.0  # s from the signal to the end of the command
+PATIENCE = 30.0  # s from the signal to the end of the command; of the processors' work where others run
 
 
 @dataclass(frozen=True)
@@ -185,10 +187,12 @@ CASES = {
         steps=("study/*",), itself=True,
     ),
     "campaign": Case(
-        "campaign fig4 --objects hammer --trials 1 --workers 2 -o {out}/campaign --json {out}/c.json",
+        "campaign fig4 --objects hammer --trials 2 --workers 2 -o {out}/campaign --json {out}/c.json",
         steps=("campaign/*/*",), itself=True,
     ),
-    "blind-test": Case("blind-test --count 1 -o {out}/blind", steps=("blind/blind-*",)),
+    "blind-test": Case(
+        "blind-test --count 2 --jobs 2 -o {out}/blind", steps=("blind/blind-*",), itself=True,
+    ),
     "audit": Case("audit {data}/engine.py:Coarse -o {out}/audit.html --json {out}/audit.json"),
     "bench": Case("bench --json {out}/bench.json"),
     "completion": Case("completion bash"),
@@ -197,12 +201,12 @@ CASES = {
 
 @dataclass(frozen=True)
 class Moment:
-    """When a command is ended: at an event of its own, or some time after a line on standard error."""
+    """When a command is ended: at an event of its own, while its workers start, or amid the work."""
 
-    kind: str  # `import`, `file` or `line`
-    number: int  # of the event of this kind, from 1
-    what: str  # the event in words
-    after: float = 0.0  # s
+    kind: str  # `import`, `file`, `worker` or `spent`
+    what: str  # in words
+    number: int = 0  # of the event of this kind, from 1
+    after: float = 0.0  # s after the worker's start; or s that the processors worked
 
 
 def main() -> None:
@@ -246,21 +250,26 @@ class Study:
                 time.sleep(0.1)
             time.sleep(1.0)
             process.send_signal(signal.SIGINT)
+        self.spent, with_workers = 0.0, False
+        while process.poll() is None:
+            spent, count = spending(process.pid)
+            self.spent, with_workers = max(self.spent, spent), with_workers or count > 1
+            time.sleep(0.2)
         self.whole = self.finished(process)
         self.seconds = time.monotonic() - begin
         self.complete = set(self.together())
-        moments = self.chosen(self.log.read_text().splitlines(), self.said())
+        moments = self.chosen(self.log.read_text().splitlines(), with_workers)
+        results = ", ".join(sorted(self.complete)) or "none"
         print(
-            f"{self.name}: {self.seconds:.1f} s, results: {', '.join(sorted(self.complete)) or 'none'}",
-            flush=True,
+            f"{self.name}: {self.seconds:.0f} s, {self.spent:.0f} s of work, results: {results}", flush=True
         )
         if self.whole:
             self.complain("a whole run", f"ends with {self.whole}: {self.said()[-1:]}")
         for number in (signal.SIGINT, signal.SIGKILL):
             for index, moment in enumerate(moments):
                 self.fresh()
-                for text in self.ended(moment, number, group=index % 2 == 0):
-                    self.complain(f"{number.name} at {moment.kind} {moment.number} ({moment.what})", text)
+                for text in self.ended(moment, number, index):
+                    self.complain(f"{number.name} at {moment.what}", text)
         for text in self.goes_on():
             self.complain("afterwards", text)
         count = 2 * len(moments)
@@ -284,10 +293,10 @@ class Study:
         """The command, which ends itself by a signal at an event, if one is given."""
         command = [sys.executable, "-m", "slipmap", *words.format(out=self.out, data=self.data).split()]
         under = [str(self.out), str(self.scratch)]
-        plan = {"event": event, "signal": number, "log": str(self.log), "under": under, **more}
+        plan = {"event": event, "signal": number, "log": str(self.log), "under": under, "group": False}
         path = os.pathsep.join(filter(None, [str(self.hook), os.environ.get("PYTHONPATH")]))
         environment = os.environ | {MARK: mark, "TMPDIR": str(self.scratch), "PYTHONPATH": path}
-        environment[PLAN] = json.dumps(plan)
+        environment[PLAN] = json.dumps(plan | more)
         self.ended_now.clear()
         if self.case.heard:
             threading.Thread(target=self.play, daemon=True).start()
@@ -323,52 +332,67 @@ class Study:
         """Whether the command, which ends by Ctrl-C alone, has said what is awaited."""
         return self.case.until in " ".join(line.strip() for line in self.said())
 
-    def chosen(self, events: Sequence[str], lines: Sequence[str]) -> list[Moment]:
-        """Moments: three while modules are loaded, three after lines, and the others at files."""
-        happened = {
-            kind: [event for event in events if event.startswith(kind)] for kind in ("import", "file")
-        }
-        few = min(3, len(lines))
-        spread = [(2 * k + 1) * len(lines) // (2 * few) for k in range(few)]
-        found = [
-            Moment("line", at + 1, lines[at], after)
-            for at, after in zip(spread, (0.05, 0.2, 0.5), strict=False)
+    def chosen(self, events: Sequence[str], with_workers: bool) -> list[Moment]:
+        """Moments: two while modules are loaded, three at files, two as workers start, others all along."""
+        imports = [k for k, event in enumerate(events) if event.startswith("import")]
+        first: dict[str, int] = {}  # of its kind: a run writes a file that it has under way all the time
+        for k, event in enumerate(events):
+            if event.startswith("file"):
+                first.setdefault(re.sub(r"[.]slipmap[.]\w+|\d+", "0", event), k)
+        found = []
+        for there, count in ((imports[: len(imports) // 4], 2), (sorted(first.values()), 3)):
+            shares = np.linspace(0.0, 1.0, count if there else 0)
+            for k in sorted({there[round(share * (len(there) - 1))] for share in shares}):
+                kind, _, what = events[k].partition(" ")
+                number = sum(event.startswith(kind) for event in events[: k + 1])
+                found.append(Moment(kind, what, number))
+        if with_workers:
+            found += [Moment("worker", f"{after} s after one started", after=after) for after in (0.02, 0.7)]
+        rest = self.moments - len(found)
+        shares = (np.arange(rest) + 0.5) / rest
+        return found + [
+            Moment("spent", f"{share:.0%} of the work", after=share * self.spent) for share in shares
         ]
-        for kind, least in (("file", self.moments - 3 - few), ("import", self.moments)):
-            there = happened[kind]
-            count = min(least if kind == "file" else self.moments - len(found), len(there))
-            last = (len(there) - 1) * (1.0 if kind == "file" else 0.25)
-            places = sorted({round(k * last / max(count - 1, 1)) for k in range(count)})
-            found += [Moment(kind, place + 1, there[place].partition(" ")[2]) for place in places]
-        return found
 
-    def ended(self, moment: Moment, number: signal.Signals, *, group: bool) -> Iterator[str]:
-        """What is wrong when the command ends at a moment; Ctrl-C reaches its workers too if `group`."""
+    def ended(self, moment: Moment, number: signal.Signals, index: int) -> Iterator[str]:
+        """What is wrong when the command ends at a moment, of an index.
+
+        At every second one, Ctrl-C reaches its workers too; at every third, it is pressed twice.
+        """
         mark = f"{os.getpid()}-{time.monotonic_ns()}"
-        event: list[object] = [] if moment.kind == "line" else [moment.kind, moment.number]
-        process = self.started(self.case.words, mark, event, number)
+        event: list[object] = [moment.kind, moment.number] if moment.kind in ("import", "file") else []
+        group, twice = number == signal.SIGINT and index % 2 == 0, number == signal.SIGINT and index % 3 == 2
+        process = self.started(self.case.words, mark, event, number, group=group)
+        send = os.killpg if group else os.kill
         begin = time.monotonic()
-        asked = None
+        since, asked, spent, before = None, None, 0.0, 0.0
         while process.poll() is None:
-            time.sleep(0.01)
+            time.sleep(0.01 if event else 0.05)
             now = time.monotonic()
+            if asked is not None or not event:
+                spent, count = spending(process.pid)
             if asked is not None:
-                if now - asked > 60.0:
+                if twice and now - asked > 0.3:
+                    send(process.pid, number)
+                    twice = False
+                if spent - before > 2 * PATIENCE or now - asked > 20 * PATIENCE:  # or waits for ever
                     process.kill()
             elif event and self.log.exists() and "signal" in self.log.read_text():
-                asked = now
-            elif not event and len(self.said()) >= moment.number:
-                time.sleep(moment.after)
-                send = os.killpg if group and number == signal.SIGINT else os.kill
-                send(process.pid, number)
-                asked = now
+                asked, before = now, spending(process.pid)[0]
             elif self.case.until and self.told() and now - begin > 1.5 * self.seconds:
                 process.send_signal(signal.SIGINT)
-                asked = now
-        code, took = self.finished(process), 0.0 if asked is None else time.monotonic() - asked
-        self.stopped += asked is not None and code != self.whole
-        if asked is not None and code == self.whole and not self.case.until:
-            print(f"    ({number.name} at {moment.kind} {moment.number}, {moment.what}: goes on to its end)")
+                asked, before = now, spending(process.pid)[0]
+            elif not event:
+                since = now if since is None and count > 1 else since
+                waited = spent if moment.kind == "spent" else -1.0 if since is None else now - since
+                if waited >= moment.after:
+                    send(process.pid, number)
+                    asked, before = now, spent
+        code, took = self.finished(process), max(spent - before, 0.0)
+        self.stopped += code != self.whole
+        print(
+            f"    ({number.name} at {moment.what}: exit code {code} after {took:.1f} s of work)", flush=True
+        )
         yield from self.complaints(number, code, took, self.said())
         if left := processes(mark):
             yield f"left behind: {left}"
@@ -383,7 +407,7 @@ class Study:
         if any("Traceback" in line or "internal failure" in line for line in said):
             yield f"traceback: {said[-1]}"
         if took > PATIENCE:
-            yield f"ended {took:.0f} s after the signal"
+            yield f"went on for {took:.0f} s after the signal"
         parts = [*self.out.rglob(".slipmap.*")]
         if number == signal.SIGINT:
             yield from (f"a temporary file left over: {part.relative_to(self.out)}" for part in parts)
@@ -521,6 +545,21 @@ def processes(mark: str, apart: str = "", patience: float = 5.0) -> list[str]:
             return []
         time.sleep(0.25)
     return found
+
+
+def spending(session: int) -> tuple[float, int]:
+    """Seconds that the processors worked for the processes of a session, and how many these are."""
+    seconds, count = 0.0, 0
+    for place in Path("/proc").iterdir():
+        if place.name.isdigit():
+            try:
+                words = (place / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(words[3]) == session:
+                seconds += sum(map(int, words[11:15])) / os.sysconf("SC_CLK_TCK")
+                count += 1
+    return seconds, count
 
 
 def broken(path: Path) -> str | None:

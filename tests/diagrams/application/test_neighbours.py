@@ -44,14 +44,11 @@ sys.stdin.read()
 """
 MASTERS = {
     "campaign": """
+from joblib import Parallel
 from slipmap.diagrams.application.campaigns.trials import TrialSpec, _in_parallel
 trial = TrialSpec("trial", "time:sleep", {"secs": 600}, 0)
-
-def trials():
-    yield trial
-    end()
-
-list(_in_parallel(trials(), 2, []))
+Parallel._retrieve = lambda self: end()
+list(_in_parallel([trial, trial], 2, []))
 """,
     "blind-test": """
 from slipmap.diagrams.application.commands import studies
@@ -75,14 +72,22 @@ def end():
 
 if __name__ == "__main__":
 """
-LATE = """
-import os, time
-if os.environ.pop("LATE_AFTER", None):
-    os.environ["LATE"] = str(os.getpid())
-while os.environ.get("LATE") == str(os.getppid()):
-    time.sleep(0.01)
+BEGIN = """
+import os, signal, time
+if os.environ.pop("FIRST", None):
+    os.environ["MASTER"] = str(os.getpid())
 """
-"""Makes workers begin their own work after their parent is gone."""
+AS_THEY_START = {
+    "killed": """
+while os.environ.get("MASTER") == str(os.getppid()):
+    time.sleep(0.01)
+""",
+    "Ctrl-C": """
+if os.environ.get("MASTER") == str(os.getppid()):
+    os.kill(os.getpid(), signal.SIGINT)
+""",
+}
+"""Makes workers begin their own work after their parent is gone, or hear Ctrl-C before it."""
 
 
 def test_results_appear_together_or_not_at_all(tmp_path):
@@ -337,21 +342,23 @@ def test_a_recording_without_room_is_lost_alone(tmp_path):
         cell.keep_recording(meshcat)
 
 
-@pytest.mark.parametrize("late", [True, False], ids=["while they start", "at work"])
+@pytest.mark.parametrize("start", [*AS_THEY_START, ""])
 @pytest.mark.parametrize("command", MASTERS)
-def test_workers_of_a_killed_process_end(command, late, tmp_path):
+def test_workers_of_a_killed_process_end(command, start, tmp_path):
     """The workers have the pipe of their process, which closes when the last of them is gone."""
     (tmp_path / "master.py").write_text(MASTER + indent(MASTERS[command], "    "))
-    more = {"KILLED_AFTER": "0" if late else "3"}
-    if late:
-        (tmp_path / "sitecustomize.py").write_text(LATE)
-        more |= {"LATE_AFTER": "1"}
+    (tmp_path / "sitecustomize.py").write_text(BEGIN + AS_THEY_START.get(start, ""))
     path = os.pathsep.join([str(tmp_path), ENVIRONMENT["PYTHONPATH"]])
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    environment = ENVIRONMENT | more | {"PYTHONPATH": path}
-    with subprocess.Popen([sys.executable, tmp_path / "master.py"], env=environment, **pipes) as master:
-        assert select.select([master.stdout], [], [], 60.0)[0] and master.stdout.read() == b""
-        assert master.wait() == -signal.SIGKILL
+    more = {"KILLED_AFTER": "0" if start == "killed" else "3", "FIRST": "1", "PYTHONPATH": path}
+    with open(tmp_path / "said", "w+b") as said:
+        pipes = {"stdout": subprocess.PIPE, "stderr": said}
+        with subprocess.Popen(
+            [sys.executable, tmp_path / "master.py"], env=ENVIRONMENT | more, **pipes
+        ) as master:
+            assert select.select([master.stdout], [], [], 60.0)[0] and master.stdout.read() == b""
+            assert master.wait() == -signal.SIGKILL
+        said.seek(0)
+        assert b"KeyboardInterrupt" not in said.read()
 
 
 IDLE = """
