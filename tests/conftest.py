@@ -31,6 +31,8 @@ COSTLY = (
     "test_station_hides_an_effect.py",
     "test_notebooks.py",
     "test_pregrasp_loop.py",
+    "test_recorded_outputs.py",
+    "test_front_door.py",
 )
 
 # Where kernels are not compiled yet, the first file compiles those of the model. Meanwhile the other worker
@@ -53,12 +55,10 @@ NOT_QUICK_FILES = (
     "test_command_line.py",
     "test_effect_fit.py",
     "test_effects_page.py",
-    "test_explore_after.py",
     "test_explore_stopped.py",
     "test_explore_study.py",
     "test_mixture.py",
     "test_neighbours.py",
-    "test_front_door.py",
     "test_hostile_effect_files.py",
     "test_installed.py",
     "test_lab_session.py",

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from refusals import assert_refused, files_in
 
-from slipmap.diagrams.application.command_line import slipmap as group
+from slipmap.diagrams.application.command_line import run, slipmap as group
 from slipmap.diagrams.perception.renderer import RendererUnavailable
 from slipmap.models.files import BadInput
 
@@ -157,13 +157,14 @@ def test_completion_prints_a_script(slipmap, shell, part):
         ("fit data --effect table_t", ["table_tilt"]),
     ],
 )
-def test_the_shell_is_told_words_that_fit(words, offered):
-    count = str(len(words.split()))
-    asked = {"COMP_WORDS": f"slipmap {words}", "COMP_CWORD": count, "_SLIPMAP_COMPLETE": "bash_complete"}
-    script = "import sys; sys.argv = ['slipmap']; from slipmap.__main__ import main; main()"
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, env={**ENVIRONMENT, **asked}, capture_output=True, text=True)
-    assert result.stdout.split() == [f"plain,{word}" for word in offered]
+def test_the_shell_is_told_words_that_fit(capsys, monkeypatch, words, offered):
+    monkeypatch.setenv("_SLIPMAP_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", f"slipmap {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    with pytest.raises(SystemExit) as ended:
+        run([])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.split() == [f"plain,{word}" for word in offered]
 
 
 def test_an_object_off_the_table_is_told_with_the_scenario_it_stands_in(slipmap, tmp_path):

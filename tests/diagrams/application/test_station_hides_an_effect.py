@@ -1,10 +1,17 @@
-"""The whole path on the robot: a tilted table nobody told of; explore, diagnose, fit, and the error falls."""
+"""The whole path on the robot: a tilted table nobody told of; explore, diagnose, fit, and the error falls.
+
+`slipmap explore --after` goes on from there: another run begins with those pushes, and with the effect.
+"""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slipmap.diagrams.application.command_line import run
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import read_dataset
 
 SCENARIO = """
 object: {name: box}
@@ -51,3 +58,52 @@ def test_adding_the_tilt_makes_predictions_better(explored):
     }
     assert len(errors["after"]) == 1
     assert sum(errors["after"]) < 0.5 * sum(errors["before"])
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_its_pushes_are_all_learned_from_with_the_effect_and_the_object_lies_where_they_left_it(
+    explored, slipmap, tmp_path
+):
+    kept, out = contents(explored), tmp_path / "further"
+    words = ["--after", explored, "--effect", "table_tilt", "--pushes", 0, "--checks", 1, "--seed", 5]
+    said = slipmap("explore", *words, "--out", out)
+    assert said.code == 0, said.err
+    old, new = read_dataset(explored / "pushes").trials, read_dataset(out / "pushes").trials
+    assert [trial.role for trial in old] == ["fit"] * 5 + ["heldout"]
+    assert [trial.role for trial in new] == ["fit"] * 6 + ["heldout"]
+    for trial, same in zip(new, old, strict=False):
+        assert np.array_equal(trial.object_pose.values, same.object_pose.values)
+    assert new[-1].object_pose.values[0] == pytest.approx(old[-1].object_pose.values[-1], abs=2e-3)
+    belief = Belief.load(out / "belief.npz")
+    assert belief.settings["fit_trials"] == [trial.name for trial in old]
+    assert [effect.name for effect in belief.effects] == ["table_tilt"]
+    assert contents(explored) == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--object", "book"], "leave out --object"),
+        (["--pushes", 0, "--checks", 0], "slipmap fit"),
+        (["--hardware"], "in simulation; leave out --hardware"),
+        (["--resume", "BEFORE"], "leave out --after"),
+        (["--out", "BEFORE"], "name another folder with --out"),
+    ],
+)
+def test_what_makes_no_sense_beside_it_is_refused(explored, slipmap, tmp_path, words, named):
+    kept = contents(explored)
+    out = [] if {"--resume", "--out"} & {*map(str, words)} else ["--out", tmp_path / "out"]
+    words = [explored if word == "BEFORE" else word for word in words]
+    said = slipmap("explore", *out, "--after", explored, *words)
+    assert said.code == 2 and named in said.err
+    assert contents(explored) == kept and not list(tmp_path.iterdir())
+
+
+def test_there_must_be_pushes_to_begin_with(slipmap, tmp_path):
+    for words, named in ((["--after", tmp_path], "holds no run"), (["--pushes", 0], "nothing to learn from")):
+        said = slipmap("explore", "--out", tmp_path / "out", *words)
+        assert said.code == 2 and named in said.err
+    assert not list(tmp_path.iterdir())

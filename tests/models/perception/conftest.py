@@ -1,6 +1,7 @@
 """A camera over a table with boxes on it: exact pictures, from rays that meet boxes, without a renderer."""
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 import pytest
@@ -25,16 +26,29 @@ class Scene:
         depth[np.hypot(ground[..., 0], ground[..., 1]) > table_radius] = np.inf
         c, s = np.cos(pose[2]), np.sin(pose[2])
         R_OW = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        begin = R_OW @ (start - [pose[0], pose[1], 0])
-        along = rays @ R_OW.T
+        p_WO = np.array([pose[0], pose[1], 0])
+        begin = R_OW @ (start - p_WO)
         for x0, y0, x1, y1, height in boxes:
+            ends = np.array(list(product((x0, x1), (y0, y1), (0.0, height))))
+            there = self.around(ends @ R_OW + p_WO)
+            along = rays[there] @ R_OW.T
             low, high = (
                 (np.array([x0, y0, 0.0]) - begin) / along,
                 (np.array([x1, y1, height]) - begin) / along,
             )
             enter, leave = np.minimum(low, high).max(axis=-1), np.maximum(low, high).min(axis=-1)
-            depth = np.where((enter < leave) & (enter < depth), enter, depth)
+            depth[there] = np.where((enter < leave) & (enter < depth[there]), enter, depth[there])
         return depth.astype(np.float32)
+
+    def around(self, p_W: np.ndarray) -> tuple[slice, slice]:
+        """Rows and columns of the picture with all that lies between points, (n, 3), m."""
+        pixels, _ = self.view.project(p_W)
+        size = self.view.camera.width, self.view.camera.height
+        (u0, v0), (u1, v1) = (
+            np.clip(np.floor(at).astype(int), 0, size)
+            for at in (pixels.min(axis=0) - 1, pixels.max(axis=0) + 2)
+        )
+        return slice(v0, v1), slice(u0, u1)
 
     def noisy(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         noisy = depth + 1.5e-3 * rng.standard_normal(depth.shape)

@@ -238,12 +238,14 @@ BOTTOM = [[0, 0.03, 0.046, 0.07, 0.0806, 0.0807], [0, 0, 8e-3, 0.034, 0.054, 1]]
 def bowl(scene, place):
     """Depth picture of a bowl; TOP and BOTTOM are its surfaces: radii and heights, m."""
     depth = scene.depth((), (0.0, 0.0, 0.0))
-    rays, start = scene.view.rays.astype(float), scene.view.p_WC
+    corners = [(x, y, z) for x in (-0.09, 0.09) for y in (-0.09, 0.09) for z in (0.0, 0.056)]
+    there = scene.around(np.add(corners, [*place, 0.0]))
+    seen, rays, start = depth[there], scene.view.rays[there].astype(float), scene.view.p_WC
     for z in np.arange(0.0, 0.056, 3e-4):  # upwards: the highest place on a ray is seen
         along = (z - start[2]) / rays[..., 2]
         radius = np.hypot(*np.moveaxis(start[:2] + along[..., None] * rays[..., :2] - place, -1, 0))
         inside = (np.interp(radius, *TOP) >= z) & (np.interp(radius, *BOTTOM) <= z)
-        depth[inside] = along[inside]
+        seen[inside] = along[inside]
     return depth
 
 
