@@ -192,7 +192,7 @@ class ModelMonitor(PythonSystem):
         same = not watch.judged or watch.judged[-1].effects == effects
         before = max(watch.evidence, 1.0) if same else 1.0
         evidence = before * push_misfit.bet(max(p, LEAST_P))
-        region = push_misfit.resting_region(observation, universes.poses, belief, error)
+        region = push_misfit.resting_region(observation, universes.poses, belief, error, self._error.noise)
         seen = turned_to(end, region.middle[2])
         if held:  # its rotation is unknown
             seen[2] = region.middle[2]

@@ -73,7 +73,7 @@ def workers() -> Iterator[Executor]:
 def deaf_workers() -> Iterator[None]:
     """Workers that start meanwhile do not hear Ctrl-C, which reaches all processes of a terminal.
 
-    Before `prepare_worker` they would end with a traceback. In this process it is heard at the end.
+    Before `prepare_worker` they would end with a traceback. This process may hear it only afterwards.
     """
     resource_tracker.ensure_running()  # its start would end the block's effect
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

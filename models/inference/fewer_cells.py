@@ -7,6 +7,7 @@ belief has the dataset's cells again: those that were merged share their mass ev
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,37 +26,32 @@ def with_fewer_cells(dataset: PushDataset) -> PushDataset:
 
     Unchanged where the maps are known by cell.
     """
-    grid = dataset.grid
-    if len(grid) <= MOST_CELLS or dataset.known is not None:
+    known = dataset.known
+    by_cell = known is not None and (known.mass is not None or known.friction is not None)
+    if len(dataset.grid) <= MOST_CELLS or by_cell:
         return dataset
-    place = _merged(grid)
-    members = np.bincount(place)
-    centers = np.column_stack([np.bincount(place, axis) / members for axis in grid.centers.T])
-    width = grid.width * _side(grid)
-    return replace(dataset, grid=CellGrid(centers, width, grid.exterior, grid.holes))
+    return replace(dataset, grid=_merged(dataset.grid)[0])
 
 
 def spread_out(belief: Belief, dataset: PushDataset) -> Belief:
     """A belief about merged cells, as one about the dataset's own."""
     if len(belief.grid) == len(dataset.grid):
         return belief
-    place, maps = _merged(dataset.grid), belief.maps
+    place, maps = _merged(dataset.grid)[1], belief.maps
     mass = (maps.mass / np.bincount(place))[:, place]
     spread = Maps(mass, maps.mu[:, place], maps.mu_finger, maps.effects)
     return replace(belief, grid=dataset.grid, maps=spread, fingerprint=dataset.fingerprint)
 
 
-def _merged(grid: CellGrid, side: int | None = None) -> NDArray[np.int64]:
-    """(n,) index of the block, `side` cells wide, that each cell belongs to."""
-    width = grid.width * (_side(grid) if side is None else side)
+@lru_cache(maxsize=16)
+def _merged(grid: CellGrid) -> tuple[CellGrid, NDArray[np.int64]]:
+    """The cells merged to at most `MOST_CELLS` blocks, and the block (n,) that each belongs to."""
     corner = grid.centers.min(axis=0) - 0.5 * grid.width
-    blocks = np.floor((grid.centers - corner) / width + 1e-6).astype(np.int64)
-    return np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def _side(grid: CellGrid) -> int:
-    """Width in cells of the smallest blocks that are few enough."""
-    side = 2
-    while _merged(grid, side).max() >= MOST_CELLS:
-        side += 1
-    return side
+    side, place = 1, np.arange(len(grid))
+    while place.max() >= MOST_CELLS:
+        side *= 2
+        blocks = np.floor((grid.centers - corner) / (side * grid.width) + 1e-6)
+        place = np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
+    members = np.bincount(place)
+    centers = np.column_stack([np.bincount(place, axis) / members for axis in grid.centers.T])
+    return CellGrid(centers, side * grid.width, grid.exterior, grid.holes, members), place

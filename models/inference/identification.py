@@ -144,7 +144,7 @@ def learn(
     )
     share_of_known = None
     if dataset.known is not None and found is None:
-        free, own = replace(dataset, known=None), partial(report, "fitting free maps")
+        free, own = replace(few, known=None), partial(report, "fitting free maps")
         rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
         share_of_known = weighed(rivals)[0].share
     learned = mixed_belief(few, every, effects, hypotheses, seed, report)

@@ -160,6 +160,8 @@ class MapPrior(EffectCoordinates):
         self.known = known
         self.cells = KnownCells.of(known or KnownMaps(), len(slider.grid), settings)
         self.total_mass, self.total_spread = self.cells.total(mass, settings)
+        members = slider.grid.members
+        self._log_size = np.zeros(len(slider.grid)) if members is None else np.log(members)
         self.mass = mass
         self.finger_mean, self.finger_spread = settings.finger_friction_mean, settings.finger_friction
         if known is not None and known.finger_friction is not None:
@@ -201,7 +203,7 @@ class MapPrior(EffectCoordinates):
         s, K, cells = self.settings, len(maps), self.cells
         free, sized = cells.free, cells.sized
         of_load, of_split = self.spreads(np.ones(1))
-        log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
+        log_mass, log_mu = np.log(maps.mass) - self._log_size, np.log(maps.mu)
 
         def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they reproduce."""
@@ -258,7 +260,8 @@ class MapPrior(EffectCoordinates):
         split = of_split[:, None] * (z[:, r : 2 * r] @ self.basis.T)
         errors = z[:, 2 * r + 1 : self.plain - 1]
         k = cells.friction_levels.shape[1]
-        shape = np.clip(cells.mass_share * (s.mass_share * load + split), -20.0, 20.0) + cells.log_mass
+        shape = np.clip(cells.mass_share * (s.mass_share * load + split), -20.0, 20.0)
+        shape = shape + cells.log_mass + self._log_size
         largest = shape[:, cells.sharing].max(axis=1, keepdims=True, initial=-np.inf)
         shape = shape - np.where(cells.sharing, largest, -errors[:, k:] @ cells.mass_levels.T)
         shape = np.exp(shape)

@@ -115,20 +115,24 @@ def resting_misfit(
 
 
 def resting_region(
-    observation: Observation, predicted: FloatArray, belief: Belief, error: ErrorModel
+    observation: Observation, predicted: FloatArray, belief: Belief, error: ErrorModel, tracker: SensorNoise
 ) -> EndRegion:
-    """Region in which an object may come to rest, as `Prediction.end_region`, from predicted rest poses.
+    """Region in which an object may come to rest.
+
+    It is `Prediction.end_region` if the belief has learned its model error; else it lies about predicted rest
+    poses, with α for the model error.
 
     Args:
         observation: the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.
-        belief: the belief that predicted them; if it has no learned model error, α is used.
-        error: noise of the poses, and α.
+        belief: what predicted them.
+        error: noise of the rest pose, and α.
+        tracker: noise of the pose before the push.
     """
     start = observation.push.start_pose
     if END_ERRORS in belief.settings:
         off = model_deviations(belief, start, predicted)
-        drawn = drawn_ends(belief, [observation], error.noise, predicted[:, None])[:, 0]
+        drawn = drawn_ends(belief, [observation], tracker)[:, 0]
         return EndRegion.of(drawn, belief.probability, error.noise.of_poses, off)
     push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
     seen = observation_of(push, (belief.probability @ predicted)[None])

@@ -21,6 +21,7 @@ class CellGrid:
         width: side of a cell, m.
         exterior: (k, 2) outline in the object frame, counter-clockwise, not repeated at the end, m.
         holes: rings (k_j, 2) of openings, clockwise, not repeated at the end, m.
+        members: (n,) number of equal cells that were merged to each; ones if None.
 
     Raises:
         ValueError: no cells, a number that is not finite, a width that is not positive, or an outline that
@@ -37,6 +38,7 @@ class CellGrid:
     width: float
     exterior: FloatArray
     holes: tuple[FloatArray, ...] = field(default=())
+    members: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         centers = checked_points(self.centers, "cell centres")

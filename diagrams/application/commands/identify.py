@@ -273,17 +273,17 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         show_friction_laws,
         show_quantities,
     )
-    from slipmap.models.inference.observations import MOST_PUSHES
 
-    taught, fit = result.belief.taught, len(dataset.fit_trials)
-    drawn = f" ({taught} of them, drawn at random, were learned from)" if MOST_PUSHES == taught < fit else ""
+    belief, fit = result.belief, len(dataset.fit_trials)
+    some = belief.method != "paper" and belief.taught < fit
+    drawn = f" ({belief.taught} of them, drawn at random, were learned from)" if some else ""
     click.echo(
         f"{printable(dataset.name)}: {len(dataset.grid)} cells; pushes: {fit} to fit{drawn},"
         f" {len(dataset.heldout_trials)} held out\n"
-        f"{len(result.belief)} hypotheses found in {result.seconds:.0f} s\n"
+        f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where)
-    missed = max(result.belief.settings.get("model_errors", [0.0]))
+    missed = max(belief.settings.get("model_errors", [0.0]))
     far_off = missed >= _FAR_OFF
     if far_off:
         paragraph(

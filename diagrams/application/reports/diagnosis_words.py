@@ -98,6 +98,9 @@ def evidence(diagnosis: Diagnosis) -> str:
     """The evidence behind the verdict: the pushes, the p-value, and how to read gains."""
     count = len(diagnosis.open_trials)
     text = f"Based on {count} {'push' if count == 1 else 'pushes'}"
+    every = sum(push.role == "fit" for push in diagnosis.without_effects.pushes)
+    if every > count and not diagnosis.quick:
+        text += f", drawn at random from {every}"
     if diagnosis.locked:
         count = len(diagnosis.locked)
         text += f"; {count} more {'was' if count == 1 else 'were'} locked away to test the answer"

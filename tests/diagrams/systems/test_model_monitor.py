@@ -227,18 +227,24 @@ def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors
     poses = belief.slider.rollout(belief.maps, [observation.push]).end[:, 0, :3]
     error = ErrorModel(sensor_noise(dataset), 0.03, 0.0)
     elsewhere = observation.poses[-1] + np.array([0.02, 0.0, 0.0])
-    assert not resting_region(observation, poses, belief, error).holds(elsewhere)
+    assert not resting_region(observation, poses, belief, error, error.noise).holds(elsewhere)
     learned = replace(belief, settings={**belief.settings, "end_errors": [0.3, 0.3]})
-    region = resting_region(observation, poses, learned, error)
+    region = resting_region(observation, poses, learned, error, error.noise)
     assert region.holds(elsewhere)
     (predicted,) = predict(learned, dataset)
     assert predicted.end_region is not None
     np.testing.assert_allclose(region.covariance, predicted.end_region.covariance, rtol=1e-9)
     np.testing.assert_allclose(region.middle, predicted.end_region.middle, atol=1e-12)
-    # Elsewhere, it lies about the poses at which the object came to rest.
-    shift = np.array([0.01, 0.0, 0.0])
-    moved_on = resting_region(observation, poses + shift, learned, error)
-    np.testing.assert_allclose(moved_on.middle, region.middle + shift, atol=1e-9)
+    # Also where the live hypotheses set out from another look at the start than the mean of them all.
+    start = observation.push.start_pose + np.array([1e-3, -1e-3, 8e-3])
+    others = belief.slider.rollout(belief.maps, [replace(observation.push, start_pose=start)]).end[:, 0, :3]
+    live = resting_region(observation, others, learned, error, error.noise)
+    np.testing.assert_allclose(live.middle, predicted.end_region.middle, atol=1e-12)
+    # Of an unseen angle, the end alone is uncertain.
+    unseen = ErrorModel(pose_noise(error.noise.position, 1.0), 0.03, 0.0)
+    held = resting_region(observation, poses, learned, unseen, error.noise)
+    np.testing.assert_allclose(held.middle, region.middle, atol=1e-12)
+    assert held.covariance[2, 2] > region.covariance[2, 2] + 0.5
 
 
 def test_noise_must_be_known() -> None:

@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.commands.identify import show
+from slipmap.diagrams.application.reports.diagnosis_words import evidence
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.identification import fit, identify
 from slipmap.models.inference.observations import to_learn_from
 from slipmap.models.inference.prediction import predict
+from slipmap.models.inference.prior import STRUCTURES, MapPrior, slider_for
 from slipmap.models.measurements import KnownMaps
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Slider
 from slipmap.planners import telling_push
 from slipmap.planners.exploration import candidate_pushes
@@ -31,7 +35,9 @@ def test_of_very_many_pushes_some_teach_wherever_one_asks(recorded, monkeypatch,
     fit = [trial.name for trial in recorded.dataset.fit_trials]
     assert len(taught) == 4 and taught == [name for name in fit if name in taught]
     assert len(learned.pushes) == len(recorded.dataset.trials)
-    assert list(diagnose(recorded.dataset, quick=True).open_trials) == taught
+    diagnosis = diagnose(recorded.dataset, draws=99, effects=effects_named(["table_tilt"], LIBRARY))
+    assert list(diagnosis.open_trials) == taught
+    assert evidence(diagnosis).startswith("Based on 4 pushes, drawn at random from 6; 4 more were")
     show(learned, recorded.dataset, None)
     said = " ".join(capsys.readouterr().out.split())
     assert "pushes: 6 to fit (4 of them, drawn at random, were learned from), 4 held out" in said
@@ -52,10 +58,40 @@ def test_merged_cells_cover_the_object(recorded) -> None:  # type: ignore[no-unt
     apart = np.hypot(*(fine.grid.centers[:, None] - few.grid.centers).transpose(2, 0, 1)).min(axis=1)
     assert apart.max() <= np.sqrt(0.5) * fine.grid.width * (1.0 + 1e-9)
     assert with_fewer_cells(recorded.dataset) is recorded.dataset
+    finger = replace(fine, known=KnownMaps(finger_friction=0.3))
+    assert len(with_fewer_cells(finger).grid) == len(few.grid)
     known = replace(
         fine, known=KnownMaps(mass=np.full(len(fine.grid), float(recorded.dataset.mass) / len(fine.grid)))
     )
     assert with_fewer_cells(known) is known
+
+
+def test_cells_too_small_for_their_distance_are_merged_all_the_same(recorded) -> None:  # type: ignore[no-untyped-def]
+    grid = cells_from_polygon(recorded.slider.grid.exterior, count=1000)
+    tiny = CellGrid(grid.centers, 1e-9, grid.exterior)
+    assert len(with_fewer_cells(replace(recorded.dataset, grid=tiny)).grid) <= 800
+
+
+@pytest.mark.parametrize("sides", [(29, 28), (41, 21), (31, 27), (900, 1)])
+def test_the_prior_of_merged_cells_expects_a_uniform_object(recorded, sides) -> None:  # type: ignore[no-untyped-def]
+    """Blocks at the edges hold fewer cells than the others."""
+    x, y = (4e-3 * (np.arange(count) - 0.5 * (count - 1)) for count in sides)
+    half = 2e-3 * np.array(sides)
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    grid = CellGrid(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), 4e-3, corners)
+    fine = replace(recorded.dataset, grid=grid, mass=1.0)
+    few = with_fewer_cells(fine)
+    prior = MapPrior(slider_for(few), STRUCTURES["smooth"], few.mass)
+    middle = prior.maps(np.zeros((1, prior.size)))
+    belief = Belief.learned(
+        few, prior.slider, middle, np.ones(1), method="gauss-newton", seed=0, trials=(), settings={}
+    )
+    spread = spread_out(belief, fine)
+    np.testing.assert_allclose(spread.maps.mass, 1.0 / len(grid), rtol=1e-9)
+    np.testing.assert_allclose(spread.centers_of_mass, 0.0, atol=1e-9)
+    # Coordinates found from maps give these maps again.
+    z = prior.near(middle)
+    np.testing.assert_allclose(z, 0.0, atol=1e-6)
 
 
 def test_a_belief_from_merged_cells_is_about_the_datasets_own(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
