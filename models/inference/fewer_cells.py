@@ -40,7 +40,7 @@ def spread_out(belief: Belief, dataset: PushDataset) -> Belief:
     place, maps = _merged(dataset.grid)[1], belief.maps
     mass = (maps.mass / np.bincount(place))[:, place]
     spread = Maps(mass, maps.mu[:, place], maps.mu_finger, maps.effects)
-    return replace(belief, grid=dataset.grid, maps=spread, fingerprint=dataset.fingerprint)
+    return replace(belief, grid=dataset.grid, maps=spread)
 
 
 @lru_cache(maxsize=16)

@@ -24,7 +24,7 @@ AVERAGED, DENSE = 5, 100
 """Tracker rows averaged into an observed pose, in trials with more than this many rows."""
 
 MOST_PUSHES = 500
-"""Most pushes of a dataset to learn from; more would not help, because the model's own error stays."""
+"""Most pushes of a dataset to learn from, which bounds time and memory."""
 
 T = TypeVar("T")
 
