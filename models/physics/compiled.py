@@ -1,7 +1,9 @@
 """Compilation of the kernels: once to machine code, kept on disk, and repeated when a kernel file changes.
 
 Numba's own cache checks only the file of the outermost function and would keep stale code after a change in
-another file. Here the name of the cache folder contains a hash of all kernel files instead.
+another file. Here the name of the cache folder contains a hash of all kernel files instead. Numba also keeps
+functions apart by the folder of their source; here by the text of their file alone, so that a checkout, its
+copies and an installed package share what one of them has compiled.
 
 A large function is compiled once and called by its address, a number that a kernel gets as an argument. Numba
 copies functions called by name into each caller and optimises them again; a parallel loop alone holds three
@@ -20,6 +22,7 @@ import numba
 from llvmlite import ir
 from numba import njit, typeof, types
 from numba._dispatcher import compute_fingerprint
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.cgutils import if_unlikely
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload
@@ -30,8 +33,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def _source_hash() -> str:
-    # Numba keys kernels by the path of their source: another checkout cannot use them.
-    digest = hashlib.sha256(f"{numba.__version__} {Path(__file__).parent.resolve()}".encode())
+    digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]
@@ -49,6 +51,21 @@ LONE_FOLDER = CACHE_FOLDER.parent / "lone-kernels"
 """Folder of the compiled kernels of other packages, whose files call no kernel of another file."""
 
 
+class _ByText(UserProvidedCacheLocator):
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        path = Path(py_file)
+        return f"{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
+
+
+class _KeptByText(CompileResultCacheImpl):
+    _locator_classes = (_ByText, *CompileResultCacheImpl._locator_classes)
+
+
+class _Cache(FunctionCache):
+    _impl_class = _KeptByText
+
+
 def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile on first call and keep the result; options are Numba's.
 
@@ -58,12 +75,14 @@ def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[
     options["no_cfunc_wrapper"] = True  # nothing in C calls kernels
 
     def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(error_model="numpy", **options)(function)
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:
-            return njit(cache=True, error_model="numpy", **options)(function)
+            dispatcher._cache = _Cache(function)  # what cache=True does, with Numba's own class
         finally:
             numba.config.CACHE_DIR = before
+        return dispatcher
 
     return decorate
 

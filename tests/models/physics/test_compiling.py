@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
+
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
@@ -52,3 +54,22 @@ def test_arrays_that_must_not_be_written_do_not_compile_the_kernel_again():
     held = slider.rollout(maps, [push], start_twists=np.broadcast_to(twist, (1, 1, 3)))
     assert held.poses.tolist() == expected.poses.tolist()
     assert len(rollout_one.signatures) == before
+
+
+def test_a_copy_of_a_file_uses_what_the_first_has_compiled(tmp_path):
+    text = "def double(values):\n    for k in range(len(values)):\n        values[k] *= 2.0\n"
+    for folder in ("first", "second"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "doubling.py").write_text(text)
+
+    def run(path):
+        space = runpy.run_path(str(path))
+        double = compiled(tmp_path / "kernels")(space["double"])
+        values = np.ones(2)
+        double(values)
+        return values[0], sum(double.stats.cache_hits.values())
+
+    assert run(tmp_path / "first" / "doubling.py") == (2.0, 0)
+    assert run(tmp_path / "second" / "doubling.py") == (2.0, 1)
+    (tmp_path / "second" / "doubling.py").write_text(text.replace("2.0", "3.0"))
+    assert run(tmp_path / "second" / "doubling.py") == (3.0, 0)
