@@ -23,7 +23,7 @@ SAMPLES = 30
 AVERAGED, DENSE = 5, 100
 """Tracker rows averaged into an observed pose, in trials with more than this many rows."""
 
-MOST_PUSHES = 500
+MOST_PUSHES = 400
 """Most pushes of a dataset to learn from, which bounds time and memory."""
 
 T = TypeVar("T")

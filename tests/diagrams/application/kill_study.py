@@ -242,21 +242,8 @@ class Study:
 
     def run(self) -> None:
         """Say what is wrong."""
-        self.fresh()
-        begin = time.monotonic()
-        process = self.started(self.case.words, "whole", [], 0)
-        if self.case.until:
-            while process.poll() is None and not self.told():
-                time.sleep(0.1)
-            time.sleep(1.0)
-            process.send_signal(signal.SIGINT)
-        self.spent, with_workers = 0.0, False
-        while process.poll() is None:
-            spent, count = spending(process.pid)
-            self.spent, with_workers = max(self.spent, spent), with_workers or count > 1
-            time.sleep(0.2)
-        self.whole = self.finished(process)
-        self.seconds = time.monotonic() - begin
+        self.runs_whole()  # compiles what is not compiled yet
+        with_workers = self.runs_whole()
         self.complete = set(self.together())
         moments = self.chosen(self.log.read_text().splitlines(), with_workers)
         results = ", ".join(sorted(self.complete)) or "none"
@@ -274,6 +261,25 @@ class Study:
             self.complain("afterwards", text)
         count = 2 * len(moments)
         print(f"{self.name}: {self.stopped} of {count} were stopped, {self.faults} complaints", flush=True)
+
+    def runs_whole(self) -> bool:
+        """Run the command to its end, and measure it; whether it has processes of its own."""
+        self.fresh()
+        begin = time.monotonic()
+        process = self.started(self.case.words, "whole", [], 0)
+        if self.case.until:
+            while process.poll() is None and not self.told():
+                time.sleep(0.1)
+            time.sleep(1.0)
+            process.send_signal(signal.SIGINT)
+        self.spent, with_workers = 0.0, False
+        while process.poll() is None:
+            spent, count = spending(process.pid)
+            self.spent, with_workers = max(self.spent, spent), with_workers or count > 1
+            time.sleep(0.2)
+        self.whole = self.finished(process)
+        self.seconds = time.monotonic() - begin
+        return with_workers
 
     def complain(self, when: str, text: str) -> None:
         """Say what is wrong."""
@@ -388,7 +394,7 @@ class Study:
                 if waited >= moment.after:
                     send(process.pid, number)
                     asked, before = now, spent
-        code, took = self.finished(process), max(spent - before, 0.0)
+        code, took = self.finished(process), 0.0 if asked is None else max(spent - before, 0.0)
         self.stopped += code != self.whole
         print(
             f"    ({number.name} at {moment.what}: exit code {code} after {took:.1f} s of work)", flush=True

@@ -45,9 +45,9 @@ def test_of_very_many_pushes_some_teach_wherever_one_asks(recorded, monkeypatch,
 
 def test_pushes_are_drawn_from_all_and_keep_their_order() -> None:
     drawn = to_learn_from(range(3000))
-    assert len(drawn) == 500 and drawn == sorted(set(drawn))
+    assert len(drawn) == 400 and drawn == sorted(set(drawn))
     assert 1350 < np.mean(drawn) < 1650 and drawn == to_learn_from(range(3000))
-    assert to_learn_from(range(500)) == list(range(500))
+    assert to_learn_from(range(400)) == list(range(400))
 
 
 def test_merged_cells_cover_the_object(recorded) -> None:  # type: ignore[no-untyped-def]
