@@ -380,6 +380,7 @@ def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario
         grid,
         name=scenario.object.called,
         finger_radius=scenario.execution.finger_radius,
+        finger_height=scenario.execution.tip_height,
         gravity=scenario.gravity,
         noise=noise,
         table=scenario.table.make(),

@@ -9,6 +9,7 @@ import dataclasses
 import hashlib
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -115,10 +116,10 @@ def _digest_of(path: Path) -> str:
 
 
 def _holds(pushes: Path, stored: Any) -> bool:
-    """Whether a dataset's trials are those that `run.json` lists."""
+    """Whether a dataset's trials are all among those that `run.json` lists."""
     try:
-        expected = sorted(str(push["digest"]) for push in stored)
-        return sorted(_digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
+        listed = Counter(str(push["digest"]) for push in stored)
+        return Counter(_digest_of(path) for path in pushes.rglob("*.json")) <= listed
     except (DatasetError, KeyError, TypeError):
         return False
 
@@ -202,12 +203,16 @@ class RunFolder:
 class PregraspFolder(RunFolder):
     """The folder of `slipmap pregrasp`, whose run cannot be continued.
 
+    Args:
+        repeatable: whether the run, a simulation, may be replaced by another even if it is killed.
+
     Raises:
-        BadInput: the folder has pushes that are not from a finished earlier run of the command.
+        BadInput: the folder has pushes that are not from a finished or repeatable earlier run of the command.
     """
 
-    def __init__(self, folder: Path, scenario: Scenario) -> None:
+    def __init__(self, folder: Path, scenario: Scenario, *, repeatable: bool = False) -> None:
         super().__init__(folder, scenario)
+        self._repeatable = repeatable
         refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
 
     def keep(self, recorded: RecordedRun) -> None:
@@ -215,7 +220,7 @@ class PregraspFolder(RunFolder):
         if self._run is None:
             self.clear()
         pushes = [{"digest": digest} for digest in _digests_of(recorded.trials)]
-        self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
+        self._run = {"format": PREGRASP, "ended": self._repeatable, "pushes": pushes}
         write_json(self._folder / RUN, self._run)
         super().keep(recorded)
 

@@ -266,6 +266,7 @@ def dataset_of(
     noise: Noise,
     table: Table | None = None,
     gravity: float = 9.81,
+    finger_height: float | None = None,
     description: str = "",
 ) -> PushDataset:
     """Recorded trials as a dataset, like one read from a folder.
@@ -275,6 +276,7 @@ def dataset_of(
         grid: the object as seen by the camera.
         finger_radius: m.
         gravity: m/s².
+        finger_height: of the finger's lower end above the table, where known, m.
 
     Raises:
         DatasetError: there is no trial.
@@ -291,6 +293,7 @@ def dataset_of(
         height=None,
         mass=None,
         finger_radius=finger_radius,
+        finger_height=finger_height,
         table=table,
         gravity=gravity,
         noise=noise,

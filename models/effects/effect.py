@@ -123,6 +123,13 @@ class Effect:
         """(F_x, F_y, torque) on the object: world frame, N; about the object frame's origin, N m."""
         return None
 
+    def downhill(self, body: Any, p: Any) -> Any:
+        """(a_x, a_y): acceleration by which gravity pulls along the table, world, m/s²; (0, 0) without.
+
+        The other effects know the sum over all effects as `downhill_x`, `downhill_y`.
+        """
+        return None
+
     def blade(self, body: Any, p: Any) -> Any:
         """(F, n_x, n_y, r_x, r_y): F newtons resist motion of the object's point r along unit vector n."""
         return None
@@ -284,7 +291,8 @@ def _failing_line(error: BaseException) -> str:
 
 
 _OF_MOTION = (
-    "friction", "drag", "stretch", "force", "blade", "inertia", "compliance", "remember", "measured", "delay",
+    "friction", "drag", "stretch", "force", "downhill", "blade", "inertia", "compliance", "remember",
+    "measured", "delay",
 )  # fmt: skip
 """Methods that change the motion of objects, or how it is measured."""
 

@@ -4,7 +4,7 @@ All formulas become expressions of y and the constants (see `slipmap.models.phys
 subexpressions are factored out, and those that do not depend on the cell move out of the loop over cells.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,7 @@ from slipmap.models.effects.symbols import (
     after_names,
     body_names,
     cell_names,
+    force_at_mass_center,
     memory_name,
     parameter_name,
     real,
@@ -57,17 +58,18 @@ class Slots:
         self.factor, self.drag, self.delay, self.force_delay = one, zero, zero, zero
         self.renewed: list[Any] = []
         self.measured, self.felt = list(pose), list(push)
-        wrench, stretch, inertia, compliance = [zero, zero, zero], [one, zero, one], one, zero
+        stretch, inertia, compliance = [one, zero, one], one, zero
         blades: list[Any] = []
         pyramids: list[list[Any]] = []
         cone: Any = one
+        downhill = _downhill(effects, force)
+        known = body_names({})
+        pull = force_at_mass_center(Names("body", known), *(known["mass"] * part for part in downhill))
+        wrench = [*_turned(known, *pull[:2]), pull[2]]
         for e in effects:
             ask = partial(_ask, e)
-            p = Names(
-                f"effect {e.name}: p", {q.name: real(parameter_name(e.name, q.name)) for q in e.parameters}
-            )
-            memory = {name: real(memory_name(e.name, name)) for name in e.memory}
-            known = body_names(memory | dict(zip(FORCE_NAMES, force, strict=True)))
+            p, memory = _parameters(e), _memory(e)
+            known = body_names(memory | dict(zip(FORCE_NAMES, force, strict=True)), downhill)
             body = Names(f"effect {e.name}: body", known)
             cell = Names(f"effect {e.name}: cell", cell_names(known))
             self.factor *= (ask("friction", 1, cell, p) or [one])[0]
@@ -77,9 +79,8 @@ class Slots:
                 total + value - base for total, value, base in zip(stretch, shape, (1, 0, 1), strict=True)
             ]
             fx, fy, torque = ask("force", 3, body, p) or [zero, zero, zero]
-            cos, sin = known["cos"], known["sin"]
-            turned = (cos * fx + sin * fy, cos * fy - sin * fx, torque)
-            wrench = [total + value for total, value in zip(wrench, turned, strict=True)]
+            added = (*_turned(known, fx, fy), torque)
+            wrench = [total + value for total, value in zip(wrench, added, strict=True)]
             blade = ask("blade", 5, body, p)
             if blade:
                 strength, nx, ny, rx, ry = blade
@@ -87,10 +88,9 @@ class Slots:
             pyramid = ask("pyramid", 3, body, p)
             if pyramid:
                 rest, edge, angle = pyramid
-                along, up = sp.cos(angle), sp.sin(angle)
                 cone *= rest
                 pyramids = [[rest * entry[0], *entry[1:]] for entry in pyramids]
-                pyramids.append([edge, cos * along + sin * up, cos * up - sin * along])
+                pyramids.append([edge, *_turned(known, sp.cos(angle), sp.sin(angle))])
             inertia *= (ask("inertia", 1, body, p) or [one])[0]
             compliance += (ask("compliance", 1, body, p) or [zero])[0]
             after = Names(f"effect {e.name}: after", after_names())
@@ -139,6 +139,32 @@ class Slots:
     def reports(self) -> list[Any]:
         """Reports of the sensors: pose and its delay, force and its delay."""
         return [*self.measured, self.delay, *self.felt, self.force_delay]
+
+
+def _parameters(effect: Effect) -> Names:
+    own = {q.name: real(parameter_name(effect.name, q.name)) for q in effect.parameters}
+    return Names(f"effect {effect.name}: p", own)
+
+
+def _memory(effect: Effect) -> dict[str, sp.Symbol]:
+    return {name: real(memory_name(effect.name, name)) for name in effect.memory}
+
+
+def _downhill(effects: Sequence[Effect], force: Sequence[sp.Symbol]) -> list[Any]:
+    """Sum over the effects of the acceleration by which gravity pulls along the table, world."""
+    total = [sp.Integer(0), sp.Integer(0)]
+    for e in effects:
+        known = body_names(_memory(e) | dict(zip(FORCE_NAMES, force, strict=True)))
+        body = Names(f"effect {e.name}: body", known)
+        own = _ask(e, "downhill", 2, body, _parameters(e)) or total[:0]
+        total = [before + part for before, part in zip(total, own, strict=True)] if own else total
+    return total
+
+
+def _turned(known: Mapping[str, Any], x: Any, y: Any) -> tuple[Any, Any]:
+    """A vector in the world as one in the object frame."""
+    cos, sin = known["cos"], known["sin"]
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _ask(effect: Effect, method: str, length: int, *arguments: Any) -> list[Any] | None:

@@ -210,8 +210,8 @@ class TableTilt(Effect):
         Parameter("down_y", "rad", "slope along y, positive downhill", -0.4, 0.4, 0.03, 0.0),
     )
 
-    def force(self, body: Any, p: Any) -> Any:
-        return force_at_mass_center(body, body.weight * p.down_x, body.weight * p.down_y)
+    def downhill(self, body: Any, p: Any) -> Any:
+        return body.gravity * p.down_x, body.gravity * p.down_y
 
 
 class TableFrictionField(Effect):
@@ -344,9 +344,12 @@ class LoadTransfer(Effect):
     memory = ("gain_x", "gain_y")
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # Moment per unit weight, which the table balances by loading the cells in front.
-        mx = (p.push_height * cell.force_x - p.mass_height * cell.mass * cell.gain_x) / cell.weight
-        my = (p.push_height * cell.force_y - p.mass_height * cell.mass * cell.gain_y) / cell.weight
+        # Moment per unit weight, which the table balances by loading the cells in front: of the finger, of
+        # inertia, and of gravity on a slope.
+        inertia_x = cell.mass * (cell.gain_x - cell.downhill_x)
+        inertia_y = cell.mass * (cell.gain_y - cell.downhill_y)
+        mx = (p.push_height * cell.force_x - p.mass_height * inertia_x) / cell.weight
+        my = (p.push_height * cell.force_y - p.mass_height * inertia_y) / cell.weight
         bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
         kx = cell.spread_xx * bx + cell.spread_xy * by
         ky = cell.spread_xy * bx + cell.spread_yy * by

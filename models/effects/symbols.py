@@ -5,7 +5,7 @@ Positions and `theta` are predicted from the start of a step to its middle; velo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
@@ -64,13 +64,14 @@ def memory_name(effect: str, name: str) -> str:
     return f"mem_{effect}_M_{name}"
 
 
-def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
+def body_names(memory: Mapping[str, sp.Symbol], downhill: Sequence[Any] = (0, 0)) -> dict[str, Any]:
     """Quantities of the whole object for formulas, as expressions of the kernel's arguments.
 
     x, y (m), theta: pose of the object frame in the world. vx, vy, omega: velocity of its origin, world.
     com_x, com_y: centre of mass relative to the origin, com_vx, com_vy: its velocity, world. mass, moment
     (about the origin), gravity, weight. time within the push (s), step (s), order: index of the push in the
-    experiment, from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x,
+    experiment, from 0. force_x, force_y: last force of the finger on the object, world, N. downhill_x,
+    downhill_y: acceleration by which gravity pulls along the table, world, m/s². centroid_x,
     centroid_y: of the cells, object frame; spread_xx, spread_xy, spread_yy: inverse of their second moments
     about it, 1/m². width: of a cell.
     """
@@ -108,6 +109,8 @@ def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
         "spread_xx": c["g_xx"],
         "spread_xy": c["g_xy"],
         "spread_yy": c["g_yy"],
+        "downhill_x": downhill[0],
+        "downhill_y": downhill[1],
     }
     return names | dict(memory)
 
@@ -160,7 +163,7 @@ def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
         "com_vx": r"\bar{v}_{x}", "com_vy": r"\bar{v}_{y}", "mass": "m", "moment": "J", "gravity": "g",
         "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_{x}", "centroid_y": "c_{y}",
         "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}",
-        "force_x": "F_{x}", "force_y": "F_{y}",
+        "force_x": "F_{x}", "force_y": "F_{y}", "downhill_x": "a_{x}", "downhill_y": "a_{y}",
     }  # fmt: skip
     if kind == "pose":
         letters = {name: letters[name] for name in ("x", "y", "theta")}

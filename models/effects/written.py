@@ -27,6 +27,7 @@ QUANTITIES = {
         ("q_{xx}", "q_{xy}", "q_{yy}"), "friction of a cell of load N is -μ N Q u / √(uᵀ Q u), object frame",
     ),
     "force": ((r"F_{x}", r"F_{y}", r"\tau"), "force on the object, and torque about its origin"),
+    "downhill": (("a_{x}", "a_{y}"), "acceleration by which gravity pulls along the table"),
     "blade": (
         ("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "F resists motion of the object's point r along n",
     ),
@@ -56,7 +57,9 @@ LETTERS = {
     "w": "width of a cell", "c_{x}": "centroid of the cells", "c_{y}": "centroid of the cells",
     "G_{xx}": "inverse of the cells' second moments", "G_{xy}": "inverse of the cells' second moments",
     "G_{yy}": "inverse of the cells' second moments", "F_{x}": "latest force of the finger",
-    "F_{y}": "latest force of the finger", "X": "position of the cell, m", "Y": "position of the cell, m",
+    "F_{y}": "latest force of the finger", "a_{x}": "acceleration by which gravity pulls along the table",
+    "a_{y}": "acceleration by which gravity pulls along the table",
+    "X": "position of the cell, m", "Y": "position of the cell, m",
     "r_{x}": "position of the cell in the object frame", "r_{y}": "position of the cell in the object frame",
     "u_{x}": "velocity of the cell", "u_{y}": "velocity of the cell",
     "u^{O}_{x}": "velocity of the cell, object frame", "u^{O}_{y}": "velocity of the cell, object frame",

@@ -29,7 +29,7 @@ from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.gauss_newton import fit as fit_maps
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, weighed
+from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, on_a_slope, weighed
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
@@ -130,6 +130,7 @@ def learn(
     """
     started = time.perf_counter() if started is None else started
     fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
+    found = None if found is None else on_a_slope(found, dataset)
     effects = () if found is None else found.effects
     # A force that contradicts the contact is useless unless an effect explains it.
     contradicted = not any(effect.only_force for effect in effects) and contradicted_by_contact(

@@ -27,7 +27,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.friction_laws import PLAIN, combinations, effect_prior, name_of
+from slipmap.models.inference.friction_laws import PLAIN, beside_slope, combinations, effect_prior, name_of
 from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
@@ -107,6 +107,17 @@ class EffectsGiven:
     maps: Maps  # to start from, one hypothesis
 
 
+def on_a_slope(found: Fitted | EffectsGiven, dataset: PushDataset) -> Fitted | EffectsGiven:
+    """The same effects, with what a slope brings with it; see `beside_slope`."""
+    more = beside_slope(found.effects, dataset)
+    if not more:
+        return found
+    means, deviations = effect_prior(more, dataset)
+    maps = replace(found.maps, effects=np.concatenate([found.maps.effects, means[None]], axis=1))
+    values, scales = np.concatenate([found.values, means]), np.concatenate([found.scales, deviations])
+    return EffectsGiven((*found.effects, *more), values, scales, maps)
+
+
 def explain(
     dataset: PushDataset,
     observations: Sequence[Observation],
@@ -182,7 +193,7 @@ def _compared(
         """Fit a law and structure from the best fit so far of the law, else of the plain law, else from
         uniform objects."""
         nonlocal asked
-        means, deviations = effect_prior(law, dataset.height)
+        means, deviations = effect_prior(law, dataset)
         if found is not None:
             means = np.concatenate([found.values, means])
             deviations = np.concatenate([found.scales, deviations])

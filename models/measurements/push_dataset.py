@@ -318,6 +318,7 @@ class Setup:
     gravity: float  # m/s²
     noise: Noise  # standard deviations, where known
     known: KnownMaps | None = field(default=None, kw_only=True)  # of the maps, before any push
+    finger_height: float | None = field(default=None, kw_only=True)  # of its lower end above the table, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,6 +358,7 @@ class PushDataset(Setup):
             ("height", self.height),
             ("mass", self.mass),
             ("finger radius", self.finger_radius),
+            ("finger height", self.finger_height),
             ("gravity", self.gravity),
         ):
             if value is not None and not (math.isfinite(value) and value > 0):

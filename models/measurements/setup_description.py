@@ -20,7 +20,7 @@ _DEVIATION = "{where}: a standard deviation must lie between 0 and {high:g}, got
 _THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
 _LENGTH = Number("m")
 _OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
-_FINGER = {"radius": Number("m", high=0.5, beyond=_THICK)}
+_FINGER = {"radius": Number("m", high=0.5, beyond=_THICK), "height": _LENGTH}
 _GRAVITY = Number("m/s²", 1e-3, 1e3)
 _NOISE = {
     name: Number(unit, high=high, beyond=_DEVIATION, or_zero=True)
@@ -57,6 +57,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     finger = parsing.section(finger, _FINGER, f"{where}: finger", warnings)
     grid = _grid(shape, f"{where}: object", warnings)
     radius = _FINGER["radius"].read(finger.get("radius"), f"{where}: finger.radius")
+    above = _numbers(finger, {"height": _FINGER["height"]}, f"{where}: finger").get("height")
     gravity = _GRAVITY.read(document.get("gravity", _STANDARD_GRAVITY), f"{where}: gravity")
     if not _NEAR_GRAVITY[0] <= gravity <= _NEAR_GRAVITY[1]:
         warnings.append(f"{where}: gravity is {gravity:g} m/s²; expected about 9.81")
@@ -71,7 +72,10 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     if document.get("known") is not None:
         known, doubts = known_maps.parse_known(document["known"], grid, mass, f"{where}: known")
         warnings += doubts
-    return Setup(name, description, grid, height, mass, radius, table, gravity, noise, known=known), warnings
+    setup = Setup(
+        name, description, grid, height, mass, radius, table, gravity, noise, known=known, finger_height=above
+    )
+    return setup, warnings
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
@@ -85,7 +89,10 @@ def setup_document(setup: Setup) -> dict[str, Any]:
             "cells": {"width": float(setup.grid.width), "centers": setup.grid.centers.tolist()},
             **_known(setup, _OBJECT),
         },
-        "finger": {"radius": float(setup.finger_radius)},
+        "finger": {
+            "radius": float(setup.finger_radius),
+            **({} if setup.finger_height is None else {"height": float(setup.finger_height)}),
+        },
     }
     if setup.table is not None:
         center = [float(value) for value in setup.table.center]

@@ -388,6 +388,16 @@ def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_do
     assert len(read_dataset(tmp_path / PUSHES).trials) == 1
 
 
+@pytest.mark.parametrize("call", [1, 2])
+def test_a_simulated_pregrasp_that_was_killed_gives_way(whole, tmp_path, call):
+    """At the renames of the run file and of a push."""
+    record = PregraspFolder(tmp_path, scenario(), repeatable=True)
+    record.keep(part(whole, 1))
+    killed_at(call, lambda: record.keep(part(whole, 2)))
+    PregraspFolder(tmp_path, scenario(), repeatable=True).keep(part(whole, 2))
+    assert len(read_dataset(tmp_path / PUSHES).trials) == 2
+
+
 @pytest.mark.parametrize("call", [1, 2, 3])
 def test_a_pregrasp_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, call):
     """At each rename: of the older run's pushes, of run file and pushes."""

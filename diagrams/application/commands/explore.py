@@ -202,7 +202,7 @@ def pregrasp(
         raise BadInput("--method true: the truth is known for simulated objects only; choose another method")
     make_folder(cell.folder)
     lock_folder(cell.folder)
-    record = PregraspFolder(cell.folder, scenario)
+    record = PregraspFolder(cell.folder, scenario, repeatable=not cell.hardware)
     cell.check_outputs(json_file)
     try:
         with cell.in_view() as (meshcat, progress):
@@ -214,13 +214,9 @@ def pregrasp(
                 written = cell_run.leave(explored.identification, explored.dataset, cell.folder, progress)
                 record.end()
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run.to_json()})
-    except BaseException as error:
-        if not cell.hardware:
-            record.end()  # a simulation can be repeated: the same command may replace its results
-        if isinstance(error, ExplorationFailed):
-            stopped = isinstance(error, ExplorationStopped)
-            raise (click.Abort() if stopped else click.ClickException(str(error))) from error
-        raise
+    except ExplorationFailed as error:
+        stopped = isinstance(error, ExplorationStopped)
+        raise (click.Abort() if stopped else click.ClickException(str(error))) from error
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder)

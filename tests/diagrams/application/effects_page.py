@@ -75,8 +75,9 @@ default, gives each dataset its own parameters; `"table"`, `"tracker"`, `"finger
 """
 
 _METHODS = {
-    "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p", "blade": "body, p",
-    "pyramid": "body, p", "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
+    "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p",
+    "downhill": "body, p", "blade": "body, p", "pyramid": "body, p", "inertia": "body, p",
+    "compliance": "body, p", "measured": "pose, p", "delay": "p",
     "felt": "force, p", "force_delay": "p",
 }  # fmt: skip
 

@@ -32,11 +32,12 @@ def test_the_end_of_the_finger_has_the_radius_that_is_wanted(radius):
 def test_what_is_recorded_says_them():
     scenario = Scenario()
     scenario.gravity, scenario.execution.finger_radius = 1.62, 0.005
+    scenario.execution.tip_height = 0.007
     grid = scenario.object.make().grid
     poses = Channel(np.array([0.0, 1.0]), np.array([[0, 0, 0], [0.1, 0, 0.2]]))
     trial = Trial("push.json", "fit", poses, Channel(np.array([0.0, 1.0]), np.zeros((2, 2))), None)
     dataset = recorded_dataset([trial], grid, scenario)
-    assert (dataset.gravity, dataset.finger_radius) == (1.62, 0.005)
+    assert (dataset.gravity, dataset.finger_radius, dataset.finger_height) == (1.62, 0.005, 0.007)
     with pytest.raises(ScenarioError, match="grasps are planned for pins"):
         pregrasp_loop(scenario, PregraspOptions())
 

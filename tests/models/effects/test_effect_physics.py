@@ -290,7 +290,7 @@ def test_moment_balance_of_load_transfer() -> None:
     factors = np.array([
         float(EFFECTS["load_transfer"].friction(SimpleNamespace(
             force_x=force[0], force_y=force[1], mass=MASS, weight=weight, gain_x=0.0, gain_y=0.0,
-            cos=1.0, sin=0.0,
+            downhill_x=0.0, downhill_y=0.0, cos=1.0, sin=0.0,
             spread_xx=spread[0, 0], spread_xy=spread[0, 1], spread_yy=spread[1, 1], rx=x, ry=y,
             centroid_x=0.0, centroid_y=0.0,
         ), p))
@@ -309,17 +309,20 @@ def test_the_weight_is_carried_even_where_cells_lift_off(high: float) -> None:
     assert steady_force("load_transfer", [high, 0.0], 0.0) == pytest.approx(MU * MASS * G, rel=0.01)
 
 
-def test_braking_presses_the_front_of_an_object_with_a_high_centre_of_mass() -> None:
+@pytest.mark.parametrize("slope", [0.0, 0.1, -0.1])
+def test_braking_presses_the_front_of_an_object_with_a_high_centre_of_mass(slope: float) -> None:
+    """On a slope too: gravity pulls at the same height, so the moment is that of friction alone."""
     grid = SQUARE
     x = grid.centers[:, 0]
     rough = 0.3 + 5.0 * x
     high = 0.015
     push = coast_of((1.0, 0, 0), 0.1, 1e-4)
-    out = slide([EFFECTS["load_transfer"]], [0.0, high], push, grid=grid, mass=MASS, mu=rough)
+    effects = [EFFECTS["load_transfer"], EFFECTS["table_tilt"]]
+    out = slide(effects, [0.0, high, slope, 0.0], push, grid=grid, mass=MASS, mu=rough)
     # a/g = Σ mu_i s_i / n with s = 1 + x (z a/g) / S_xx.
     second = (x**2).mean() + 0.01**2 / 12
     expected = 0.3 / (1 - high * (rough * x).mean() / second)
-    assert (1.0 - out.end[0, 0, 3]) / (0.1 * G) == pytest.approx(expected, rel=3e-3)
+    assert (1.0 - out.end[0, 0, 3]) / (0.1 * G) + slope == pytest.approx(expected, rel=3e-3)
     assert expected > 0.32
 
 

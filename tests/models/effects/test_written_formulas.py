@@ -27,6 +27,7 @@ LETTERS = {
     "mass": "m", "moment": "J", "gravity": "g", "step": "h", "order": "k",
     "centroid_x": "c_x", "centroid_y": "c_y",
     "spread_xx": "G_xx", "spread_xy": "G_xy", "spread_yy": "G_yy", "force_x": "F_x", "force_y": "F_y",
+    "downhill_x": "a_x", "downhill_y": "a_y",
 }  # fmt: skip
 CELL = {
     "x": "X", "y": "Y", "rx": "r_x", "ry": "r_y", "ux": "u_x", "uy": "u_y", "speed": "u", "area": "a",
@@ -75,7 +76,10 @@ def test_the_text_computes_what_the_code_does(name: str) -> None:
         for left, right in equations.items():
             names = {re.sub(r"\W", "_", k): v for k, v in (known | solved).items()}
             result = parse_expr(right, names, transformations=TRANSFORMATIONS)
-            if not result.free_symbols and left not in ("F_x", "F_y", "r_x", "r_y") | known.keys():
+            if (
+                not result.free_symbols
+                and left not in ("F_x", "F_y", "r_x", "r_y", "a_x", "a_y") | known.keys()
+            ):
                 solved[left] = result
             if not result.free_symbols:
                 solved[f"result {left}"] = result

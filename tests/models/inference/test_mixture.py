@@ -14,7 +14,7 @@ from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.friction_laws import effect_prior
 from slipmap.models.inference.hypotheses import trusting
-from slipmap.models.inference.identification import identify
+from slipmap.models.inference.identification import fit, identify
 from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, explain, shared_out
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import STRUCTURES
@@ -27,8 +27,12 @@ EFFECTS = {effect.name: effect for effect in LIBRARY}
 HEIGHT = 0.05
 
 
-def made_by(recorded, *names: str) -> PushDataset:  # type: ignore[no-untyped-def]
-    """Ten pushes, four of them held out, of the object of `recorded` under a law."""
+LAWS = {"load_transfer": (0.5 * HEIGHT, 0.5 * HEIGHT), "impulse_friction": (1.0,)}
+
+
+def made_by(recorded, *names: str, values=LAWS) -> PushDataset:  # type: ignore[no-untyped-def]
+    """Ten pushes, four of them held out, of the object of `recorded` under a law, or with some effects."""
+    names = names if values is LAWS else tuple(values)
     rng = np.random.default_rng(8)
     effects = [EFFECTS[name] for name in names]
     grid = recorded.slider.grid
@@ -36,7 +40,6 @@ def made_by(recorded, *names: str) -> PushDataset:  # type: ignore[no-untyped-de
         candidate.push([0.05, -0.02, 0.7])
         for candidate in candidate_pushes(grid, 0.006, rng, 10, length=(0.06, 0.1))
     ]
-    values = {"load_transfer": (0.5 * HEIGHT, 0.5 * HEIGHT), "impulse_friction": (1.0,)}
     truth = Maps(
         recorded.truth.mass,
         recorded.truth.mu,
@@ -124,6 +127,23 @@ def test_without_height_or_mass_nothing_is_said_of_load_transfer(recorded, missi
     dataset = made_by(recorded, "load_transfer")
     found = identify(replace(dataset, **{missing: None}), hypotheses=4, friction_laws=True)
     assert not any("load_transfer" in name for name in found.friction_laws)
+
+
+def test_a_slope_shifts_load_where_the_height_of_the_finger_is_stated(recorded) -> None:  # type: ignore[no-untyped-def]
+    """Gravity and the finger act above the table: without their heights the slope is sure and wrong."""
+    values = {"table_tilt": (0.12, -0.08), "load_transfer": (0.01, 0.015)}
+    level = replace(made_by(recorded, values=values), height=None, mass=None)
+    stated = fit(replace(level, finger_height=0.004), ["table_tilt"], hypotheses=20).effect_estimates
+    unstated = fit(level, ["table_tilt"], hypotheses=20).effect_estimates
+
+    def holds(slope) -> bool:  # type: ignore[no-untyped-def]
+        return all(
+            slope[key]["low"] <= true <= slope[key]["high"]
+            for key, true in zip(slope, (0.12, -0.08), strict=True)
+        )
+
+    assert sorted(stated) == ["load_transfer", "table_tilt"] and holds(stated["table_tilt"])
+    assert sorted(unstated) == ["table_tilt"] and not holds(unstated["table_tilt"])
 
 
 def test_two_hypotheses_follow_two_laws(recorded) -> None:  # type: ignore[no-untyped-def]
@@ -251,8 +271,9 @@ def test_hypotheses_are_shared_out(shares, hypotheses, counts) -> None:  # type:
     assert _counts(np.array(shares), hypotheses) == counts
 
 
-def test_heights_are_expected_at_half_the_object() -> None:
-    means, deviations = effect_prior([EFFECTS["load_transfer"], EFFECTS["impulse_friction"]], 0.04)
+def test_heights_are_expected_at_half_the_object(recorded) -> None:  # type: ignore[no-untyped-def]
+    effects = [EFFECTS["load_transfer"], EFFECTS["impulse_friction"]]
+    means, deviations = effect_prior(effects, replace(made_by(recorded), height=0.04))
     assert means == pytest.approx([0.02, 0.02, 1.0])
     assert deviations == pytest.approx([0.006, 0.002, 0.01])
 

@@ -22,7 +22,8 @@ from slipmap.models.physics.cell_grid import CellGrid
 
 def assert_equal(one: PushDataset, other: PushDataset) -> None:
     """Every number to the last bit."""
-    for key in ("name", "description", "height", "mass", "finger_radius", "table", "gravity", "noise"):
+    numbers = ("height", "mass", "finger_radius", "finger_height", "table", "gravity", "noise")
+    for key in ("name", "description", *numbers):
         assert getattr(one, key) == getattr(other, key), key
     assert one.grid.width == other.grid.width
     np.testing.assert_array_equal(one.grid.centers, other.grid.centers)
@@ -86,6 +87,7 @@ def datasets(draw):
         height=draw(st.none() | positive),
         mass=draw(st.none() | positive),
         finger_radius=draw(st.floats(1e-4, 0.05)),
+        finger_height=draw(st.none() | st.floats(1e-4, 0.5)),
         table=draw(table),
         gravity=draw(positive),
         noise=draw(st.builds(Noise, level, level, level, level)),
