@@ -358,5 +358,11 @@ def show_effects(result: Identification) -> None:
     from slipmap.diagrams.application.reports.effect_words import effect_in_words
     from slipmap.models.inference.diagnosis.results import estimates_by_effect
 
-    for name, estimates in estimates_by_effect(result).items():
+    every = estimates_by_effect(result)
+    for name, estimates in every.items():
         paragraph(f"{name}: {effect_in_words(name, estimates, result.belief.grid)}.")
+    if {"table_tilt", "load_transfer"} <= every.keys():
+        paragraph(
+            "On a slope, gravity pulls at the height of the centre of mass and shifts load downhill, and the"
+            " finger shifts it at its own height: load_transfer is estimated together with the tilt."
+        )
