@@ -1,7 +1,13 @@
-"""Progress callbacks of long computations."""
+"""Long computations: callbacks for their progress, and independent parts side by side."""
 
-from collections.abc import Callable
+from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Sequence
+from itertools import count
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
 Progress = Callable[[str, int, int], None]  # called with (stage, done, total)
 StageProgress = Callable[[int, int], None]  # the same for one stage: called with (done, total)
 
@@ -18,3 +24,64 @@ def about(what: str, progress: Progress) -> Progress:
 def part_of(progress: StageProgress, place: int, parts: int) -> StageProgress:
     """Progress of one of several equally long parts, counted over all of them."""
     return lambda done, total: progress(place * total + done, parts * total)
+
+
+_within = threading.local()
+
+
+def side_by_side(
+    tasks: Sequence[Callable[[], Result]], progress: StageProgress | None = None
+) -> list[Result]:
+    """Results of independent tasks, run on as many threads as there are cores.
+
+    Rollouts, and most of NumPy, let other threads run meanwhile. The results are those of one task after the
+    other, whatever the number of threads. Tasks within a task take turns on its thread.
+
+    Args:
+        tasks: to run; one must not change what another one reads.
+        progress: called with the numbers of finished tasks and of all tasks.
+
+    Raises:
+        Exception: that of the first task that raises one; later tasks may not have run then.
+    """
+    from numba import config  # takes long to import, and most commands need no rollouts
+
+    results: list[Any] = [None] * len(tasks)
+    errors: dict[int, Exception] = {}
+    numbers, finished, lock = iter(range(len(tasks))), count(1), threading.Lock()
+    stopped = False
+
+    def work() -> None:
+        while not stopped and not errors:
+            with lock:
+                number = next(numbers, None)
+            if number is None:
+                return
+            try:
+                results[number] = tasks[number]()
+                with lock:
+                    if progress is not None:
+                        progress(next(finished), len(tasks))
+            except Exception as error:
+                errors[number] = error
+
+    def help_out() -> None:
+        _within.task = True
+        work()
+
+    among = getattr(_within, "task", False)
+    most = 1 if among else config.NUMBA_NUM_THREADS
+    # They end with the program even if it is interrupted.
+    threads = [threading.Thread(target=help_out, daemon=True) for _ in tasks[1:most]]
+    try:
+        _within.task = among or bool(threads)
+        for thread in threads:
+            thread.start()
+        work()
+        for thread in threads:
+            thread.join()
+    finally:
+        stopped, _within.task = True, among
+    if errors:
+        raise errors[min(errors)]
+    return results

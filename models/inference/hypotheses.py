@@ -24,7 +24,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps
-from slipmap.models.progress import StageProgress, part_of
+from slipmap.models.progress import StageProgress, part_of, side_by_side
 
 Ladder = list[tuple[Likelihood, Fits]]
 """Fits under likelihoods that trust the data less and less."""
@@ -128,41 +129,48 @@ def trusted(ladder: Ladder) -> dict[str, Any]:
     }
 
 
-def refits(
-    ladder: Ladder,
-    hypotheses: int,
-    rng: np.random.Generator,
-    report: StageProgress,
-    *,
-    keep_best: bool = True,
-) -> tuple[Maps, FloatArray]:
-    """Randomised refits around the best fits, under each likelihood of a ladder in turn.
+class Draws(NamedTuple):
+    """What refits of K hypotheses are drawn around."""
+
+    weights: FloatArray  # (K, B) of the pushes
+    prior_mean: FloatArray  # (K, d)
+    strength: FloatArray  # (K,) see `MapPrior.spreads`
+
+
+def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_best: bool) -> Draws:
+    """Draws for K hypotheses around the fits of a ladder.
 
     Args:
         ladder: of `fit_with_trust`.
         hypotheses: K.
         rng: of the draws.
-        report: called with (done, total).
         keep_best: whether the first hypothesis is the plain best fit.
+    """
+    likelihood, _ = ladder[0]
+    B = len(likelihood.observations)
+    shape = max(B - 1, 1) / (B + 1)
+    weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
+    prior_mean = rng.standard_normal((hypotheses, likelihood.prior.size))
+    strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
+    if keep_best:
+        weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
+    return Draws(weights, prior_mean, strength)
+
+
+def refits(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray]:
+    """Randomised refits around the best fits, under each likelihood of a ladder in turn.
 
     Returns:
         Maps of K hypotheses and their probabilities (K,).
     """
-    closest, _ = ladder[0]
-    prior, B = closest.prior, len(closest.observations)
-    shape = max(B - 1, 1) / (B + 1)
-    weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
-    prior_mean = rng.standard_normal((hypotheses, prior.size))
-    strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
-    if keep_best:
-        weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
-    z = np.empty((hypotheses, prior.size))
-    probability = np.empty(hypotheses)
+    weights, prior_mean, strength = drawn
+    hypotheses, prior = len(strength), ladder[0][0].prior
     # With fewer hypotheses than likelihoods, those of larger evidence are used.
     rungs = ladder[-hypotheses:]
-    for rung, (likelihood, first) in enumerate(rungs):
+
+    def refitted(rung: int, likelihood: Likelihood, first: Fits) -> Fits:
         own = np.arange(rung, hypotheses, len(rungs))
-        found = fit(
+        return fit(
             likelihood,
             prior.rescaled(first.z[0], strength[own]),
             weights=weights[own],
@@ -171,11 +179,14 @@ def refits(
             offsets=np.repeat(first.offsets, len(own), axis=0),
             iterations=15,
             tolerance=3e-3,
-            progress=part_of(report, rung, len(rungs)),
         )
-        z[own] = found.z
-        cost = found.push_cost.sum(axis=1)
-        probability[own] = accuracy_weights(cost) * len(own) / hypotheses
+
+    z, probability = np.empty((hypotheses, prior.size)), np.empty(hypotheses)
+    found = side_by_side([partial(refitted, rung, *rungs[rung]) for rung in range(len(rungs))])
+    for rung, fits in enumerate(found):
+        z[rung :: len(rungs)] = fits.z
+        weight = accuracy_weights(fits.push_cost.sum(axis=1))
+        probability[rung :: len(rungs)] = weight * len(weight) / hypotheses
     return prior.maps(z, strength), probability
 
 

@@ -20,6 +20,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +33,9 @@ from slipmap.models.inference.friction_laws import PLAIN, beside_slope, combinat
 from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
+    Draws,
     Ladder,
+    draws,
     explains_exactly,
     fit_with_trust,
     log_evidence,
@@ -44,7 +48,7 @@ from slipmap.models.inference.prior import BOLD, PLAUSIBLE, MapPrior, PriorSetti
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
-from slipmap.models.progress import Progress, StageProgress, part_of
+from slipmap.models.progress import Progress, StageProgress, part_of, side_by_side
 
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
@@ -186,13 +190,12 @@ def _compared(
     given = () if found is None else found.effects
     structures = {"own": settings} if settings is not None else structures_of(dataset)
     others = [] if plain_only else combinations(dataset, given)
-    every: list[Explanation] = []
-    asked, total = 0, len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
+    total = len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
+    finished = count(1)
 
-    def ask(law: Sequence[Effect], structure: str) -> None:
-        """Fit a law and structure from the best fit so far of the law, else of the plain law, else from
-        uniform objects."""
-        nonlocal asked
+    def fitted(law: Sequence[Effect], structure: str, known: Sequence[Explanation]) -> list[Explanation]:
+        """The fit of a law and structure, from the best known fit of the law, else of the plain law, else
+        from uniform objects; none where this one fails but another is known."""
         means, deviations = effect_prior(law, dataset)
         if found is not None:
             means = np.concatenate([found.values, means])
@@ -202,7 +205,7 @@ def _compared(
             slider, structures[structure], dataset.mass,
             effect_prior=(means, deviations), known=dataset.known,
         )  # fmt: skip
-        name, known = name_of(law), [one for one in every if one.law in (PLAIN, name_of(law))]
+        name = name_of(law)
         if known:
             best = max(known, key=lambda one: (one.law == name, one.log_evidence)).maps
             more = prior.effect_centers[best.effects.shape[1] :]
@@ -212,35 +215,45 @@ def _compared(
             starts = prior.starts()
             if found is not None:
                 starts = np.concatenate([starts, prior.near(found.maps)])
-        own = part_of(progress, asked, total)
-        asked += 1
         only_exact = structure in BOLD and len(observations) < _ENOUGH_PUSHES
         try:
-            ladder = fit_with_trust(prior, observations, dataset.noise, starts, own, only_exact=only_exact)
+            ladder = fit_with_trust(
+                prior, observations, dataset.noise, starts, lambda done, total: None, only_exact=only_exact
+            )
         except (RolloutError, np.linalg.LinAlgError):
             if not known:
                 raise
-            return
-        every.append(Explanation(name, structure, ladder, _evidence(ladder)))
+            return []
+        finally:
+            progress(min(next(finished), total), total)
+        return [Explanation(name, structure, ladder, _evidence(ladder))]
+
+    def chain(law: Sequence[Effect], usual: Explanation) -> list[list[Explanation]]:
+        """Fits of a law with the structures besides the usual one, each from the best so far."""
+        chained: list[list[Explanation]] = []
+        for structure in rest:
+            chained.append(fitted(law, structure, [usual, *(one for own in chained for one in own)]))
+        return chained
 
     usual, *rest = structures
-    ask((), usual)
+    every = fitted((), usual, [])
     if "smooth" in rest:
         if every[0].model_error == MODEL_ERRORS[0]:
-            ask((), "smooth")
-            del every[0]
+            every = fitted((), "smooth", every) or every
         rest.remove("smooth")
-    usual = every[0].structure
-    if every[0].model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
+    plain = every[0]
+    if plain.model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
         # The other laws could not be distinguished from the plain one, and would take long.
         others = []
-    for law in others:
-        ask(law, usual)
-    likeliest = _likeliest(every).law
-    for structure in rest:
-        for law in ((), *others):
-            if not law or (name_of(law) == likeliest and len(observations) >= _ENOUGH_PUSHES):
-                ask(law, structure)
+    for own in side_by_side([partial(fitted, law, plain.structure, [plain]) for law in others]):
+        every += own
+    likeliest = _likeliest(every)
+    chains = [partial(chain, (), plain)]
+    if likeliest is not plain and len(observations) >= _ENOUGH_PUSHES:
+        (law,) = (law for law in others if name_of(law) == likeliest.law)
+        chains.append(partial(chain, law, likeliest))
+    for of_structure in zip(*side_by_side(chains), strict=True):
+        every += [one for own in of_structure for one in own]
     progress(1, 1)
     return shared_out(every)
 
@@ -309,28 +322,21 @@ def mixed_belief(
     every = every[:hypotheses]
     shares = np.array([one.share for one in every]) / sum(one.share for one in every)
     rng = np.random.default_rng(seed)
-    parts: list[tuple[Maps, tuple[Effect, ...]]] = []
-    probability: list[FloatArray] = []
-    kept: list[tuple[Explanation, float]] = []
-    done = 0
-    for one, count, share in zip(every, _counts(shares, hypotheses), shares, strict=True):
-        effects = one.likelihood.prior.slider.effects
-
-        def progress(made: int, total: int, done: int = done, count: int = count) -> None:
-            report("hypotheses", total * done + count * made, total * hypotheses)
-
-        done += count
-        try:
-            maps, weights = refits(one.ladder, count, rng, progress, keep_best=not parts)
-        except (RolloutError, np.linalg.LinAlgError):
-            # Refits lead to wilder maps than fits do; the belief can do without this explanation.
-            continue
-        parts.append((maps, effects))
-        probability.append(share * weights)
-        kept.append((one, float(share)))
+    tasks = []
+    for place, (one, size) in enumerate(zip(every, _counts(shares, hypotheses), strict=True)):
+        drawn = draws(one.ladder, size, rng, keep_best=place == 0)
+        tasks.append(partial(_refitted, one.ladder, drawn))
+    found = side_by_side(tasks, partial(report, "hypotheses"))
+    kept = [
+        (one, float(share), *learned)
+        for one, share, learned in zip(every, shares, found, strict=True)
+        if learned is not None
+    ]
     if not kept:
         raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
-    total = sum(share for _, share in kept)
+    parts = [(maps, one.likelihood.prior.slider.effects) for one, _, maps, _ in kept]
+    probability = [share * weights for _, share, _, weights in kept]
+    total = sum(share for _, share, _, _ in kept)
     of_laws = [e for e in LIBRARY if e not in given and any(e in effects for _, effects in parts)]
     used = (*given, *of_laws)
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
@@ -351,10 +357,19 @@ def mixed_belief(
         settings={
             **trusted(every[0].ladder),
             **chosen_on,
-            "friction_laws": _by([one.law for one, _ in kept], [share for _, share in kept]),
-            "structures": _by([one.structure for one, _ in kept], [share for _, share in kept]),
+            "friction_laws": _by([one.law for one, *_ in kept], [one[1] for one in kept]),
+            "structures": _by([one.structure for one, *_ in kept], [one[1] for one in kept]),
         },
     )
+
+
+def _refitted(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray] | None:
+    """Result of `refits`, or None where it fails: refits lead to wilder maps than fits do, and the belief
+    can do without one explanation."""
+    try:
+        return refits(ladder, drawn)
+    except (RolloutError, np.linalg.LinAlgError):
+        return None
 
 
 def _by(names: Sequence[str], shares: Sequence[float]) -> dict[str, float]:

@@ -16,6 +16,7 @@ rollout of one step, differentiated also with respect to what drives it.
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -387,7 +388,7 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
     end[end.shape[0] - 1] = -1.0 if failed else float(evaluations)
 
 
-@compiled()
+@compiled(nogil=True)
 def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
     """Run job k B + b: push b of model k.
 
@@ -412,7 +413,7 @@ def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: i
     keep(owned)
 
 
-@compiled(parallel=True)
+@compiled(parallel=True, nogil=True)
 def _all_jobs(address, order, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
     for place in prange(len(order)):
         arguments = (order[place], common, maps, pushes, formulas, table, results)
@@ -435,7 +436,13 @@ def rollout_all(
         rollout_one(0, *arguments)
     else:
         order = evenly_dealt(np.diff(pushes.tip_at), len(results.end))
-        _all_jobs(address_of(rollout_one, (0, *arguments)), order, *arguments)
+        address = address_of(rollout_one, (0, *arguments))
+        with _ALL_THREADS:
+            _all_jobs(address, order, *arguments)
+
+
+_ALL_THREADS = threading.Lock()
+"""Held by the Python thread whose rollouts run: not every threading layer of Numba takes turns by itself."""
 
 
 @compiled()

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.progress import StageProgress
+from slipmap.models.progress import StageProgress, side_by_side
+
+_TOGETHER = 4
+"""Candidates refitted side by side; a search is given up by what the earlier ones reached."""
 
 _QUICK_REFITS = 3
 """Candidates besides the favourite that are refitted in full where chance was not simulated, chosen by a
@@ -58,20 +62,22 @@ def refit_candidates(
     error = base.likelihood.error
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
     found: dict[str, Fitted] = {}
-    for step, i in enumerate(named):
-        progress(step, len(named) + 2)
+
+    def tried(i: int, worth: float) -> Fitted | None:
         effect = first.candidates[i]
         guess = fitter.start_of(effect, effect.start_values(scene)[int(first.start[i])], error, base)
         if quick:
-            fitted = fitter.with_effects(
-                (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6
-            )
-        else:
-            least = min((fitted.cost for fitted in found.values()), default=base.cost)
-            worth = _ceiling(base.cost, least)
-            fitted = fitter.with_effects((effect,), error, base, guess, afresh=True, worth=worth)
-        if fitted is not None:
-            found[effect.name] = fitted
+            return fitter.with_effects((effect,), error, None, guess, afresh=True, iterations=1, forgiving=6)
+        return fitter.with_effects((effect,), error, base, guess, afresh=True, worth=worth)
+
+    for begin in range(0, len(named), _TOGETHER):
+        progress(begin, len(named) + 2)
+        own = named[begin : begin + _TOGETHER]
+        least = min((fitted.cost for fitted in found.values()), default=base.cost)
+        tasks = [partial(tried, i, _ceiling(base.cost, least)) for i in own]
+        for i, fitted in zip(own, side_by_side(tasks), strict=True):
+            if fitted is not None:
+                found[first.candidates[i].name] = fitted
     if not found:
         return Refits(base, {}, {})
     favourite = first.candidates[named[0]].name
@@ -82,15 +88,21 @@ def refit_candidates(
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
     error = estimate_errors(best, fitter.noise)
-    plain = fitter.base(error, base)
     ceiling = _ceiling(base.cost, best.cost)
-    fits = {}
-    for name, fitted in found.items():
-        if fitted.cost > ceiling and not (quick and name == favourite):
-            continue
-        again = fitter.with_effects(fitted.effects, error, fitted, fitted.values)
-        if again is not None:
-            fits[name] = again
+    close = [
+        (name, fitted)
+        for name, fitted in found.items()
+        if fitted.cost <= ceiling or (quick and name == favourite)
+    ]
+
+    def again(fitted: Fitted | None) -> Fitted | None:
+        if fitted is None:
+            return fitter.base(error, base)
+        return fitter.with_effects(fitted.effects, error, fitted, fitted.values)
+
+    plain, *refitted = side_by_side([partial(again, fitted) for fitted in (None, *(fit for _, fit in close))])
+    assert plain is not None
+    fits = {name: fit for (name, _), fit in zip(close, refitted, strict=True) if fit is not None}
     progress(len(named) + 2, len(named) + 2)
     return Refits(plain, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
 
