@@ -26,16 +26,16 @@ def part_of(progress: StageProgress, place: int, parts: int) -> StageProgress:
     return lambda done, total: progress(place * total + done, parts * total)
 
 
-_within = threading.local()
+_spare: list[threading.Semaphore] = []  # one, of the threads that may still start, from the first use on
 
 
 def side_by_side(
     tasks: Sequence[Callable[[], Result]], progress: StageProgress | None = None
 ) -> list[Result]:
-    """Results of independent tasks, run on as many threads as there are cores.
+    """Results of independent tasks, run on this thread and on others, altogether as many as there are cores.
 
     Rollouts, and most of NumPy, let other threads run meanwhile. The results are those of one task after the
-    other, whatever the number of threads. Tasks within a task take turns on its thread.
+    other, whatever the number of threads.
 
     Args:
         tasks: to run; one must not change what another one reads.
@@ -46,6 +46,8 @@ def side_by_side(
     """
     from numba import config  # takes long to import, and most commands need no rollouts
 
+    if not _spare:
+        _spare.append(threading.Semaphore(config.NUMBA_NUM_THREADS - 1))
     results: list[Any] = [None] * len(tasks)
     errors: dict[int, Exception] = {}
     numbers, finished, lock = iter(range(len(tasks))), count(1), threading.Lock()
@@ -66,22 +68,20 @@ def side_by_side(
                 errors[number] = error
 
     def help_out() -> None:
-        _within.task = True
         work()
+        _spare[0].release()
 
-    among = getattr(_within, "task", False)
-    most = 1 if among else config.NUMBA_NUM_THREADS
-    # They end with the program even if it is interrupted.
-    threads = [threading.Thread(target=help_out, daemon=True) for _ in tasks[1:most]]
+    threads: list[threading.Thread] = []
     try:
-        _within.task = among or bool(threads)
-        for thread in threads:
-            thread.start()
+        while len(threads) < len(tasks) - 1 and _spare[0].acquire(blocking=False):
+            # It ends with the program even if that is interrupted.
+            threads.append(threading.Thread(target=help_out, daemon=True))
+            threads[-1].start()
         work()
         for thread in threads:
             thread.join()
     finally:
-        stopped, _within.task = True, among
+        stopped = True
     if errors:
         raise errors[min(errors)]
     return results

@@ -36,6 +36,7 @@ from slipmap.models.inference.residual_structure import (
     factor_patterns,
 )
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
+from slipmap.models.inference.results import Identification
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
 from slipmap.models.progress import Progress, about, silent
@@ -123,7 +124,7 @@ class Comparison:
 
 def compare(
     dataset: PushDataset,
-    belief: Belief | None = None,
+    belief: Belief | Identification | None = None,
     *,
     seed: int = 0,
     label: str = "model",
@@ -134,7 +135,8 @@ def compare(
 
     Args:
         dataset: pushes of the object that the belief is about.
-        belief: what was learned, from this or another dataset; without one, `identify` learns it first.
+        belief: what was learned, from this or another dataset; or the result of `identify` for this dataset,
+            whose predictions are then taken; if None, `identify` learns it first.
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
@@ -153,14 +155,17 @@ def compare(
         ('model', 3)
     """
     if belief is None:
-        belief = identify(dataset, seed=seed, progress=progress).belief
-    check_same_object(belief, dataset)
-    belief = belief.on(dataset.table)
+        belief = identify(dataset, seed=seed, progress=progress)
+    if isinstance(belief, Identification):
+        pushes, belief = belief.pushes, belief.belief
+    else:
+        check_same_object(belief, dataset)
+        belief = belief.on(dataset.table)
+        every = observe_all(dataset)
+        pushes = predict_observations(belief, every, sensor_noise(dataset), progress, predictor)
     report = progress or silent
     grid = belief.grid
-    observations = observe_all(dataset)
-    pushes = predict_observations(belief, observations, sensor_noise(dataset), progress, predictor)
-    motions = [push.motion for push in pushes]
+    observations, motions = [push.observation for push in pushes], [push.motion for push in pushes]
 
     rng = np.random.default_rng(seed)
     report("looking for patterns", 0, 4)
@@ -216,13 +221,12 @@ def compare_with_effects(
     """
     added = named(effects)
     models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
-    beliefs = {
-        label: identify(dataset, given, seed=seed, progress=about(label, progress or silent)).belief
+    learned = {
+        label: identify(dataset, given, seed=seed, progress=about(label, progress or silent))
         for label, given in models.items()
     }
     before, after = (
-        compare(dataset, belief, seed=seed, label=label, progress=progress)
-        for label, belief in beliefs.items()
+        compare(dataset, own, seed=seed, label=label, progress=progress) for label, own in learned.items()
     )
     return before, after
 
@@ -298,14 +302,14 @@ def compare_together(
     for k, dataset in enumerate(datasets):
         own = about(dataset.name, report)
         pushes = dataset if fitted is None else with_locked(dataset, fitted.datasets[k].locked)
-        plain = identify(pushes, seed=seed, progress=own).belief
+        plain = identify(pushes, seed=seed, progress=own)
         models = {"model" if fitted is None else "without effects": plain}
         if fitted is not None:
-            models["with " + " and ".join(fitted.effects)] = fitted.learned[k].belief
+            models["with " + " and ".join(fitted.effects)] = fitted.learned[k]
         found.append(
             tuple(
-                compare(pushes, belief, seed=seed, label=label, progress=own)
-                for label, belief in models.items()
+                compare(pushes, learned, seed=seed, label=label, progress=own)
+                for label, learned in models.items()
             )
         )
     return JointComparison(tuple(found), fitted)

@@ -172,7 +172,7 @@ class PushLikelihood(ABC):
             start_gradient = slope[..., start] + scaled_offsets[:, own] / self.start_sigma[own]
             w = weights[:, own]
             # Sums over the pushes are products of matrices with the rows, or columns, of all of them.
-            rows = (np.sqrt(w)[..., None, None] * J).reshape(K, -1, p)
+            rows = (J if (w == 1.0).all() else np.sqrt(w)[..., None, None] * J).reshape(K, -1, p)
             eliminated = w[..., None, None] * (coupling @ gain)
             beside = coupling.transpose(0, 2, 1, 3).reshape(K, p, 3 * G)
             reduced_hessian[:, :p, :p] += rows.transpose(0, 2, 1) @ rows

@@ -24,6 +24,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,9 +90,14 @@ def structures_of(dataset: PushDataset) -> Mapping[str, PriorSettings]:
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
     """The sliding model of a dataset's object, finger and table, with the contact of recorded fingers."""
-    return Slider(
-        dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects, dataset.table
-    )  # fmt: skip
+    with _COMPILING:
+        return Slider(
+            dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects, dataset.table
+        )  # fmt: skip
+
+
+_COMPILING = Lock()
+"""Two threads would otherwise compile the formulas of the same effects twice."""
 
 
 class EffectCoordinates:

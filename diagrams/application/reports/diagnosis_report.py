@@ -132,7 +132,7 @@ def compared(
     if diagnosis.with_effects is not None:
         models.append((phrases.after_label(diagnosis), diagnosis.with_effects))
     return [
-        compare(pushes, learned.belief, seed=diagnosis.seed, label=label, progress=progress)
+        compare(pushes, learned, seed=diagnosis.seed, label=label, progress=progress)
         for label, learned in models
     ]
 

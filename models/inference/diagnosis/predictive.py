@@ -1,14 +1,15 @@
 """Predictive score of a linearised model on pushes that it was not fitted to.
 
 Around its optimum a model is linear in its coordinates z: push b has whitened residuals r_b + J_b z, and the
-prior is z ~ N(0, 1/Λ). With N_b = J_bᵀJ_b, H = Λ + Σ N_b, the best z and the residuals ê_b there, the density
-of push b given all others needs no refit:
+prior is z ~ N(0, 1/Λ). With N_b = J_bᵀJ_b, s_b = J_bᵀr_b, H = Λ + Σ N_b and s = Σ s_b, the density of push b
+given all others needs no refit:
 
-    log p(r_b | others) = ½ log det(1 - J_b H⁻¹ J_bᵀ) - ½ (|ê_b|² + (J_bᵀê_b)ᵀ (H - N_b)⁻¹ (J_bᵀê_b)) + const.
+    log p(r_b | others) = log p(r) - log p(others)
+        = ½ (log det(H - N_b) - log det H + sᵀ H⁻¹ s - (s - s_b)ᵀ (H - N_b)⁻¹ (s - s_b) - |r_b|²)
 
-Its sum over pushes is the score. It depends only on N_b, J_bᵀr_b and |r_b|² of each push, so a candidate
-costs one small factorisation per push, for the data and for many simulated datasets at once. Pushes are left
-out as a whole, since repetition within a push is not evidence.
+up to a constant. Its sum over pushes is the score. It depends only on N_b, s_b and |r_b|² of each push, so a
+candidate costs one small factorisation per push, for the data and for many simulated datasets at once. Pushes
+are left out as a whole, since repetition within a push is not evidence.
 """
 
 from __future__ import annotations
@@ -82,15 +83,17 @@ class PushEquations:
         total = slope.sum(axis=0)
         total[:, 0] += pull
         hessian = np.diag(precision) + normal.sum(axis=0)
-        factor = scipy.linalg.cho_factor(hessian, check_finite=False)
-        whole = float(np.log(np.diagonal(factor[0])).sum())
-        best = -scipy.linalg.cho_solve(factor, total, check_finite=False)
-        result = np.empty(self.square.shape)
-        for b in range(len(result)):
-            error_slope = slope[b] + normal[b] @ best
-            square = self.square[b] + (best * (slope[b] + error_slope)).sum(axis=0)
-            others = np.linalg.cholesky(hessian - normal[b])
-            extra = scipy.linalg.solve_triangular(others, error_slope, lower=True, check_finite=False)
-            left = float(np.log(np.diagonal(others)).sum())
-            result[b] = left - whole - 0.5 * (square + (extra**2).sum(axis=0))
+        explained, whole, factor = _explained(hessian, total)
+        best = -scipy.linalg.cho_solve((factor, True), total, check_finite=False)
+        result = explained - whole - 0.5 * self.square
+        for b, own in enumerate(normal):
+            by_others, left, _ = _explained(hessian - own, total - slope[b])
+            result[b] += left - by_others
         return result, best
+
+
+def _explained(hessian: FloatArray, slope: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """½ sᵀ H⁻¹ s for each column of slopes (c, D), ½ log det H, and the lower Cholesky factor of H (c, c)."""
+    factor = np.asarray(np.linalg.cholesky(hessian), dtype=np.float64)
+    white: FloatArray = scipy.linalg.solve_triangular(factor, slope, lower=True, check_finite=False)
+    return 0.5 * (white**2).sum(axis=0), float(np.log(np.diagonal(factor)).sum()), factor

@@ -17,9 +17,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -61,14 +62,14 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
 )
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.fewer_cells import with_fewer_cells
-from slipmap.models.inference.identification import identify, learn
+from slipmap.models.inference.identification import learn
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, StageProgress, about, silent
+from slipmap.models.progress import Progress, StageProgress, side_by_side, silent
 
 
 def diagnose(
@@ -110,23 +111,27 @@ def diagnose(
     coarseness = QUICK_COARSENESS if quick else 1.0
     observations = observe_all(dataset, trials, coarseness)
     few = with_fewer_cells(dataset)
-    inquiry = Inquiry(few, observations, tuple(effects), 0 if quick else draws, rng, report)
-    outcome = inquiry.run()
-    # What `identify` and `fit` learn from the same pushes judges the answer.
     divided = with_locked(dataset, locked)
     everything = observe_all(divided)
-    own = about("without effects", report)
-    without = identify(divided, seed=seed, progress=own)
+    report("preparing pushes", 1, 1)
+
+    def inquire() -> tuple[Inquiry, Outcome]:
+        inquiry = Inquiry(few, observations, tuple(effects), 0 if quick else draws, rng, report)
+        return inquiry, inquiry.run()
+
+    def learned_with(rivals: Sequence[Fitted | None]) -> list[Callable[[], Identification]]:
+        """What `identify` and `fit` learn from the same pushes, which judges the answer."""
+        return [partial(learn, divided, everything, rival, seed=seed) for rival in rivals]
+
+    tasks: list[Callable[[], Any]] = [inquire, *learned_with([None])]
+    (inquiry, outcome), without = side_by_side(tasks)
     before = locked_errors(without)
 
     def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
         """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
-        with_each = {
-            outcomes.name_of(rival): learn(
-                divided, everything, rival, seed=seed, report=about("with effects", report)
-            )
-            for rival in answer.rivals
-        }
+        stage = partial(report, "fitting with effects")
+        found = side_by_side(learned_with(answer.rivals), stage)
+        with_each = dict(zip(map(outcomes.name_of, answer.rivals), found, strict=True))
         objections = {
             name: text
             for rival, (name, own) in zip(answer.rivals, with_each.items(), strict=True)

@@ -1,0 +1,70 @@
+"""Independent parts of long computations, side by side."""
+
+import threading
+
+import pytest
+from slipmap.models import progress
+from slipmap.models.progress import side_by_side
+
+
+@pytest.fixture(autouse=True)
+def three_threads(monkeypatch):  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(progress, "_spare", [threading.Semaphore(2)])
+
+
+def test_results_come_in_the_order_of_the_tasks() -> None:
+    later = threading.Event()
+
+    def first() -> str:
+        assert later.wait(30)  # a task that must wait for another one
+        return "first"
+
+    def second() -> str:
+        later.set()
+        return "second"
+
+    assert side_by_side([first, second]) == ["first", "second"]
+    assert side_by_side([]) == []
+
+
+def test_the_first_failing_task_is_told() -> None:
+    failed = threading.Event()
+
+    def first() -> None:
+        assert failed.wait(30)
+        raise ValueError("first")
+
+    def second() -> None:
+        failed.set()
+        raise KeyError("second")
+
+    with pytest.raises(ValueError, match="first"):
+        side_by_side([first, second])
+
+
+def test_tasks_within_tasks_start_no_more_threads_than_there_are_cores() -> None:
+    most, running, lock = 0, 0, threading.Lock()
+
+    def leaf() -> int:
+        nonlocal most, running
+        with lock:
+            running += 1
+            most = max(most, running)
+        threading.Event().wait(0.01)
+        with lock:
+            running -= 1
+        return threading.active_count()
+
+    before = threading.active_count()
+    counts = side_by_side([lambda: side_by_side([leaf] * 4)] * 4)
+    assert max(max(own) for own in counts) <= before + 2
+    assert 1 < most <= 3
+    most = 0
+    side_by_side([leaf] * 3)
+    assert most > 1  # threads that have ended may start again
+
+
+def test_progress_counts_finished_tasks() -> None:
+    told: list[tuple[int, int]] = []
+    side_by_side([lambda: None] * 5, lambda done, total: told.append((done, total)))
+    assert told == [(done, 5) for done in range(1, 6)]
