@@ -228,12 +228,12 @@ def _compared(
             progress(min(next(finished), total), total)
         return [Explanation(name, structure, ladder, _evidence(ladder))]
 
-    def chain(law: Sequence[Effect], usual: Explanation) -> list[list[Explanation]]:
+    def chain(law: Sequence[Effect], usual: Explanation) -> list[Explanation]:
         """Fits of a law with the structures besides the usual one, each from the best so far."""
-        chained: list[list[Explanation]] = []
+        chained = [usual]
         for structure in rest:
-            chained.append(fitted(law, structure, [usual, *(one for own in chained for one in own)]))
-        return chained
+            chained += fitted(law, structure, chained)
+        return chained[1:]
 
     usual, *rest = structures
     every = fitted((), usual, [])
@@ -245,15 +245,18 @@ def _compared(
     if plain.model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
         # The other laws could not be distinguished from the plain one, and would take long.
         others = []
-    for own in side_by_side([partial(fitted, law, plain.structure, [plain]) for law in others]):
-        every += own
-    likeliest = _likeliest(every)
-    chains = [partial(chain, (), plain)]
-    if likeliest is not plain and len(observations) >= _ENOUGH_PUSHES:
-        (law,) = (law for law in others if name_of(law) == likeliest.law)
-        chains.append(partial(chain, law, likeliest))
-    for of_structure in zip(*side_by_side(chains), strict=True):
-        every += [one for own in of_structure for one in own]
+    enough = len(observations) >= _ENOUGH_PUSHES
+    of_laws = [partial(fitted, law, plain.structure, [plain]) for law in others]
+    of_structures = [partial(chain, (), plain)]
+    if enough:
+        for own in side_by_side(of_laws):
+            every += own
+        likeliest = _likeliest(every)
+        if likeliest is not plain:
+            (law,) = (law for law in others if name_of(law) == likeliest.law)
+            of_structures.append(partial(chain, law, likeliest))
+        of_laws = []
+    every += [one for own in side_by_side([*of_structures, *of_laws]) for one in own]
     progress(1, 1)
     return shared_out(every)
 

@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+
 from slipmap.models import progress
 from slipmap.models.progress import side_by_side
 
