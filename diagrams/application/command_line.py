@@ -7,6 +7,7 @@ bad input; 130 stopped by Ctrl-C or by a termination signal.
 import atexit
 import difflib
 import errno
+import gc
 import importlib
 import os
 import signal
@@ -265,6 +266,8 @@ def main() -> None:
     # The matrices are small and the rollouts have their own threads: with another program on the same
     # cores, BLAS threads waiting for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Nearly all objects live as long as the command; looking for others took a tenth of imports and pictures.
+    gc.set_threshold(50_000)
     # Terminating the command from outside, or closing its terminal, acts like Ctrl-C: workers end with it,
     # and nothing half-written is left.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
