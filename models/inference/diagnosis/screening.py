@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import StageProgress
+from slipmap.models.progress import StageProgress, side_by_side
 
 _TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""
@@ -134,9 +135,12 @@ def screen(
     without = score(None, 0)
     gain, start, chance, turned, sharpness = [], [], [], [], []
     total = equations.normal.sum(axis=0)
-    for i in candidates:
-        tried = np.array([score(i, g) - without for g in range(len(own_columns[i]))])
-        totals = tried.sum(axis=1)
+
+    def gains(i: int) -> FloatArray:
+        """(starts, 1 + D + flips) gains of a candidate over all pushes."""
+        return np.array([(score(i, g) - without).sum(axis=0) for g in range(len(own_columns[i]))])
+
+    for i, totals in zip(candidates, side_by_side([partial(gains, i) for i in candidates]), strict=True):
         best = int(np.argmax(totals[:, 0]))
         gain.append(totals[best, 0])
         start.append(best)
