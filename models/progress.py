@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from itertools import count
+from functools import partial
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -26,12 +26,22 @@ def part_of(progress: StageProgress, place: int, parts: int) -> StageProgress:
     return lambda done, total: progress(place * total + done, parts * total)
 
 
+def shares_of(progress: StageProgress, parts: int) -> list[StageProgress]:
+    """Progress of several equally long parts that may run side by side, added up."""
+    shares, lock = [0.0] * parts, threading.Lock()
+
+    def report(place: int, done: int, total: int) -> None:
+        with lock:
+            shares[place] = max(shares[place], done / max(total, 1))
+            progress(round(100 * sum(shares) / parts), 100)
+
+    return [partial(report, place) for place in range(parts)]
+
+
 _spare: list[threading.Semaphore] = []  # one, of the threads that may still start, from the first use on
 
 
-def side_by_side(
-    tasks: Sequence[Callable[[], Result]], progress: StageProgress | None = None
-) -> list[Result]:
+def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     """Results of independent tasks, run on this thread and on others, altogether as many as there are cores.
 
     Rollouts, and most of NumPy, let other threads run meanwhile. The results are those of one task after the
@@ -39,7 +49,6 @@ def side_by_side(
 
     Args:
         tasks: to run; one must not change what another one reads.
-        progress: called with the numbers of finished tasks and of all tasks.
 
     Raises:
         Exception: that of the first task that raises one; later tasks may not have run then.
@@ -50,7 +59,7 @@ def side_by_side(
         _spare.append(threading.Semaphore(config.NUMBA_NUM_THREADS - 1))
     results: list[Any] = [None] * len(tasks)
     errors: dict[int, Exception] = {}
-    numbers, finished, lock = iter(range(len(tasks))), count(1), threading.Lock()
+    numbers, lock = iter(range(len(tasks))), threading.Lock()
     stopped = False
 
     def work() -> None:
@@ -61,9 +70,6 @@ def side_by_side(
                 return
             try:
                 results[number] = tasks[number]()
-                with lock:
-                    if progress is not None:
-                        progress(next(finished), len(tasks))
             except Exception as error:
                 errors[number] = error
 

@@ -36,7 +36,7 @@ from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps
-from slipmap.models.progress import StageProgress, part_of, side_by_side
+from slipmap.models.progress import StageProgress, part_of, shares_of, side_by_side
 
 Ladder = list[tuple[Likelihood, Fits]]
 """Fits under likelihoods that trust the data less and less."""
@@ -157,7 +157,7 @@ def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_bes
     return Draws(weights, prior_mean, strength)
 
 
-def refits(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray]:
+def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, FloatArray]:
     """Randomised refits around the best fits, under each likelihood of a ladder in turn.
 
     Returns:
@@ -167,6 +167,8 @@ def refits(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray]:
     hypotheses, prior = len(strength), ladder[0][0].prior
     # With fewer hypotheses than likelihoods, those of larger evidence are used.
     rungs = ladder[-hypotheses:]
+
+    done = shares_of(report, len(rungs))
 
     def refitted(rung: int, likelihood: Likelihood, first: Fits) -> Fits:
         own = np.arange(rung, hypotheses, len(rungs))
@@ -179,6 +181,7 @@ def refits(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray]:
             offsets=np.repeat(first.offsets, len(own), axis=0),
             iterations=15,
             tolerance=3e-3,
+            progress=done[rung],
         )
 
     z, probability = np.empty((hypotheses, prior.size)), np.empty(hypotheses)

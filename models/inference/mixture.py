@@ -21,7 +21,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,7 +47,7 @@ from slipmap.models.inference.prior import BOLD, PLAUSIBLE, MapPrior, PriorSetti
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
-from slipmap.models.progress import Progress, StageProgress, part_of, side_by_side
+from slipmap.models.progress import Progress, StageProgress, part_of, shares_of, side_by_side
 
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
@@ -191,7 +190,7 @@ def _compared(
     structures = {"own": settings} if settings is not None else structures_of(dataset)
     others = [] if plain_only else combinations(dataset, given)
     total = len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
-    finished = count(1)
+    shares = iter(shares_of(progress, total))
 
     def fitted(law: Sequence[Effect], structure: str, known: Sequence[Explanation]) -> list[Explanation]:
         """The fit of a law and structure, from the best known fit of the law, else of the plain law, else
@@ -216,16 +215,15 @@ def _compared(
             if found is not None:
                 starts = np.concatenate([starts, prior.near(found.maps)])
         only_exact = structure in BOLD and len(observations) < _ENOUGH_PUSHES
+        own = next(shares)
         try:
-            ladder = fit_with_trust(
-                prior, observations, dataset.noise, starts, lambda done, total: None, only_exact=only_exact
-            )
+            ladder = fit_with_trust(prior, observations, dataset.noise, starts, own, only_exact=only_exact)
         except (RolloutError, np.linalg.LinAlgError):
             if not known:
                 raise
             return []
         finally:
-            progress(min(next(finished), total), total)
+            own(1, 1)
         return [Explanation(name, structure, ladder, _evidence(ladder))]
 
     def chain(law: Sequence[Effect], usual: Explanation) -> list[Explanation]:
@@ -325,11 +323,11 @@ def mixed_belief(
     every = every[:hypotheses]
     shares = np.array([one.share for one in every]) / sum(one.share for one in every)
     rng = np.random.default_rng(seed)
-    tasks = []
+    tasks, parts_done = [], shares_of(partial(report, "hypotheses"), len(every))
     for place, (one, size) in enumerate(zip(every, _counts(shares, hypotheses), strict=True)):
         drawn = draws(one.ladder, size, rng, keep_best=place == 0)
-        tasks.append(partial(_refitted, one.ladder, drawn))
-    found = side_by_side(tasks, partial(report, "hypotheses"))
+        tasks.append(partial(_refitted, one.ladder, drawn, parts_done[place]))
+    found = side_by_side(tasks)
     kept = [
         (one, float(share), *learned)
         for one, share, learned in zip(every, shares, found, strict=True)
@@ -366,11 +364,11 @@ def mixed_belief(
     )
 
 
-def _refitted(ladder: Ladder, drawn: Draws) -> tuple[Maps, FloatArray] | None:
+def _refitted(ladder: Ladder, drawn: Draws, progress: StageProgress) -> tuple[Maps, FloatArray] | None:
     """Result of `refits`, or None where it fails: refits lead to wilder maps than fits do, and the belief
     can do without one explanation."""
     try:
-        return refits(ladder, drawn)
+        return refits(ladder, drawn, progress)
     except (RolloutError, np.linalg.LinAlgError):
         return None
 

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from slipmap.models import progress
-from slipmap.models.progress import side_by_side
+from slipmap.models.progress import shares_of, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +65,8 @@ def test_tasks_within_tasks_start_no_more_threads_than_there_are_cores() -> None
     assert most > 1  # threads that have ended may start again
 
 
-def test_progress_counts_finished_tasks() -> None:
+def test_shares_of_parts_add_up_and_never_fall() -> None:
     told: list[tuple[int, int]] = []
-    side_by_side([lambda: None] * 5, lambda done, total: told.append((done, total)))
-    assert told == [(done, 5) for done in range(1, 6)]
+    first, second = shares_of(lambda done, total: told.append((done, total)), 2)
+    first(1, 2), second(3, 10), first(1, 4), second(1, 1), first(2, 2)
+    assert told == [(25, 100), (40, 100), (40, 100), (75, 100), (100, 100)]

@@ -69,7 +69,7 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, StageProgress, side_by_side, silent
+from slipmap.models.progress import Progress, StageProgress, about, side_by_side, silent
 
 
 def diagnose(
@@ -119,9 +119,13 @@ def diagnose(
         inquiry = Inquiry(few, observations, tuple(effects), 0 if quick else draws, rng, report)
         return inquiry, inquiry.run()
 
-    def learned_with(rivals: Sequence[Fitted | None]) -> list[Callable[[], Identification]]:
-        """What `identify` and `fit` learn from the same pushes, which judges the answer."""
-        return [partial(learn, divided, everything, rival, seed=seed) for rival in rivals]
+    def learned_with(
+        rivals: Sequence[Fitted | None], told: Progress = silent
+    ) -> list[Callable[[], Identification]]:
+        """What `identify` and `fit` learn from the same pushes, which judges the answer; the first one tells
+        its progress."""
+        own = partial(learn, divided, everything, seed=seed)
+        return [partial(own, rival, report=silent if place else told) for place, rival in enumerate(rivals)]
 
     tasks: list[Callable[[], Any]] = [inquire, *learned_with([None])]
     (inquiry, outcome), without = side_by_side(tasks)
@@ -129,8 +133,7 @@ def diagnose(
 
     def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
         """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
-        stage = partial(report, "fitting with effects")
-        found = side_by_side(learned_with(answer.rivals), stage)
+        found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
         with_each = dict(zip(map(outcomes.name_of, answer.rivals), found, strict=True))
         objections = {
             name: text
