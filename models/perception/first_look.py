@@ -57,7 +57,7 @@ ARM_NEAR = 6  # pixels between object and arm below which the first look waits
 _REACHES = (4.0, *(3.0,) * 6)  # pixels
 _TURNS = np.linspace(0.0, 2 * np.pi, 23, endpoint=False)  # a prime: no regular cog looks the same at each
 _SLIGHT = np.deg2rad(np.linspace(-5.0, 5.0, 5))  # turns that no picture shows
-_FOR_AXIS = 200  # readings
+_FOR_AXIS = 300  # readings
 _AXIS_OFF = 6e-3  # m; first step of the search for the axis
 _HIDDEN = 1.0  # m; height of whatever hides a pixel without a reading
 _PROUD, _LOW, _BESIDE = 3.5e-3, 0.3, 0.7  # m, of the object's height, pixels; what stands out less is noise
@@ -160,11 +160,11 @@ def _angle_shown(mask: Mask, raw: Heights, heights: Heights, table: TablePlane, 
         level = np.tile(tops[:count], len(turns))
         return view.project(table.lift(at, level))[0], level
 
-    around = cv2.dilate(np.where(np.isnan(heights), np.float32(_HIDDEN), heights), np.ones((3, 3), np.uint8))
+    picture = HeightPicture(np.where(np.isnan(heights), np.float32(_HIDDEN), sharp))
 
     def proud(axis: FloatArray) -> float:
         pixels, level = turned(axis, _TURNS, _FOR_AXIS)
-        over = level - np.nan_to_num(HeightPicture(around).at(pixels), nan=_HIDDEN)
+        over = level - np.nan_to_num(picture.at(pixels), nan=_HIDDEN)
         return float(np.mean(np.clip(over / least, 0.0, 1.0) ** 2))
 
     middle = points.mean(axis=0)
@@ -176,10 +176,10 @@ def _angle_shown(mask: Mask, raw: Heights, heights: Heights, table: TablePlane, 
     def drawn(turns: FloatArray, count: int) -> Heights:
         pixels, level = turned(axis, turns, count)
         inside = ((pixels > -0.5) & (pixels < np.array(mask.shape[::-1]) - 0.5)).all(axis=1)
-        picture = np.zeros(mask.shape, np.float32)
+        highest = np.zeros(mask.shape, np.float32)
         column, row = np.rint(pixels[inside]).astype(int).T
-        np.maximum.at(picture, (row, column), level[inside].astype(np.float32))
-        return cv2.GaussianBlur(picture, (0, 0), SMOOTHING)
+        np.maximum.at(highest, (row, column), level[inside].astype(np.float32))
+        return cv2.GaussianBlur(highest, (0, 0), SMOOTHING)
 
     rounded = drawn(_TURNS, (len(tops) + 1) // 2)
     slopes = [cv2.Sobel(rounded, cv2.CV_32F, *along, scale=1 / 8) for along in ((1, 0), (0, 1))]
