@@ -59,6 +59,7 @@ _TURNS = np.linspace(0.0, 2 * np.pi, 23, endpoint=False)  # a prime: no regular 
 _SLIGHT = np.deg2rad(np.linspace(-5.0, 5.0, 5))  # turns that no picture shows
 _FOR_AXIS = 300  # readings
 _AXIS_OFF = 6e-3  # m; first step of the search for the axis
+_CLEARLY = 0.3  # mean square by which the readings stand out; those of round objects have up to 0.17
 _HIDDEN = 1.0  # m; height of whatever hides a pixel without a reading
 _PROUD, _LOW, _BESIDE = 3.5e-3, 0.3, 0.7  # m, of the object's height, pixels; what stands out less is noise
 # Share of a turned object's pixels that stand out, at most, if it counts as round. Cans, plates, rings and
@@ -164,17 +165,22 @@ def _angle_shown(mask: Mask, raw: Heights, heights: Heights, table: TablePlane, 
 
     def proud(axis: FloatArray) -> float:
         pixels, level = turned(axis, _TURNS, _FOR_AXIS)
-        over = level - np.nan_to_num(picture.at(pixels), nan=_HIDDEN)
+        over = level - np.nan_to_num(picture.at(pixels))  # beside the picture nothing hides it
         return float(np.mean(np.clip(over / least, 0.0, 1.0) ** 2))
 
     middle = points.mean(axis=0)
-    steps = _AXIS_OFF * np.array([[0, 0], [1, 0], [0, 1]])
-    axis = minimize(
-        proud, middle, method="Nelder-Mead", options={"initial_simplex": middle + steps, "maxfev": 40}
-    ).x
+    best = minimize(
+        proud,
+        middle,
+        method="Nelder-Mead",
+        bounds=np.column_stack([points.min(axis=0), points.max(axis=0)]),
+        options={"initial_simplex": middle + _AXIS_OFF * np.array([[0, 0], [1, 0], [0, 1]]), "maxfev": 40},
+    )
+    if best.fun > _CLEARLY:
+        return True
 
     def drawn(turns: FloatArray, count: int) -> Heights:
-        pixels, level = turned(axis, turns, count)
+        pixels, level = turned(best.x, turns, count)
         inside = ((pixels > -0.5) & (pixels < np.array(mask.shape[::-1]) - 0.5)).all(axis=1)
         highest = np.zeros(mask.shape, np.float32)
         column, row = np.rint(pixels[inside]).astype(int).T
