@@ -11,6 +11,7 @@ from typing import IO
 import cv2
 import numpy as np
 import shapely
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
@@ -35,7 +36,7 @@ from slipmap.models.perception.pinhole_camera import (
     fit_table,
     pixel_size,
 )
-from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
+from slipmap.models.perception.pose_tracking import fit_edges
 from slipmap.models.perception.seen_object import (
     Footprint,
     Outline,
@@ -54,6 +55,16 @@ _INSET = 0.006  # m between inner points and the outline, less for narrow object
 _RIM = 1.5e-3  # m
 ARM_NEAR = 6  # pixels between object and arm below which the first look waits
 _REACHES = (4.0, *(3.0,) * 6)  # pixels
+_TURNS = np.linspace(0.0, 2 * np.pi, 23, endpoint=False)  # a prime: no regular cog looks the same at each
+_SLIGHT = np.deg2rad(np.linspace(-5.0, 5.0, 5))  # turns that no picture shows
+_FOR_AXIS = 300  # readings
+_AXIS_OFF = 6e-3  # m; first step of the search for the axis
+_CLEARLY = 0.3  # mean square by which the readings stand out; those of round objects have up to 0.17
+_HIDDEN = 1.0  # m; height of whatever hides a pixel without a reading
+_PROUD, _LOW, _BESIDE = 3.5e-3, 0.3, 0.7  # m, of the object's height, pixels; what stands out less is noise
+# Share of a turned object's pixels that stand out, at most, if it counts as round. Cans, plates, rings and
+# bowls have up to 0.1, also when they are 3 % longer than wide; a square has 0.3, a box of 1 to 2 has 0.5.
+_MOST_PROUD = 0.115
 _LARGEST_FILE = 2**29  # bytes, unpacked; pictures are at most 4096 by 4096
 
 
@@ -85,25 +96,22 @@ def first_look(
         raise ValueError("first look: needs at least one depth image")
     depth = median_depth([view.checked_depth(frame) for frame in frames])
     table, raw, heights, mask = _standing_object(depth, view, blocked)
-    picture, cloud = HeightPicture(heights), _cloud(mask, raw, depth, view)
-
-    def taken_for(overhung: bool) -> SeenObject:
-        traced = footprint(mask, heights, raw, table, view, overhung)
-        return _seen_object(traced, cloud, table, picture, view, cells)
-
-    upright = taken_for(overhung=False)
-    if not upright.angle_seen:
-        return upright
-    # A bowl's flank, hidden below its rim, would make it look longer than wide if it were taken for upright.
-    bowl = taken_for(overhung=True)
-    return upright if bowl.angle_seen else bowl
+    traced = footprint(mask, heights, raw, table, view)
+    seen = _seen_object(traced, _cloud(mask, raw, depth, view), table, view, cells)
+    seen = replace(seen, angle_seen=_angle_shown(mask, raw, heights, table, view))
+    # The outline is traced, but poses are fitted to edges. If the first pose is fitted too, the difference
+    # between the two methods cancels out of every motion.
+    picture = HeightPicture(heights)
+    seen = replace(seen, first_pose=fit_edges(picture, view, seen, seen.first_pose, _REACHES).pose)
+    poses, pixel = seen.first_pose[None], pixel_size(view)
+    ((misfit, _),) = mean_misfits(picture, view.lens, seen.shape, poses, pixel, 1)
+    return replace(seen, misfit=float(misfit))
 
 
 def _seen_object(
     seen_W: Footprint,
     cloud: tuple[FloatArray, FloatArray],
     table: TablePlane,
-    picture: HeightPicture,
     view: View,
     cells: int,
 ) -> SeenObject:
@@ -115,7 +123,7 @@ def _seen_object(
     relief = Relief.from_cloud(edge, points, tops, pixel_size(view))
     inner, outline = _inner_points(edge), _outline(edge, seen_W.outline, origin)
     inner_heights, inner_slopes = relief.smooth(inner, SMOOTHING * pixel_size(view))
-    seen = SeenObject(
+    return SeenObject(
         grid=grid,
         cell_heights=_heights_of_cells(grid, relief, points, tops),
         first_pose=np.array([*origin, 0.0]),
@@ -127,15 +135,64 @@ def _seen_object(
         relief=relief,
         table=table,
     )
-    # The outline is traced, but poses are fitted to edges. If the first pose is fitted too, the difference
-    # between the two methods cancels out of every motion.
-    fit = fit_edges(picture, view, seen, seen.first_pose, _REACHES)
-    fitted = replace(seen, first_pose=fit.pose)
-    ((misfit, _),) = mean_misfits(picture, view.lens, fitted.shape, fit.pose[None], pixel_size(view), 1)
-    if angle_shown(picture, view, fitted):
-        return replace(fitted, misfit=float(misfit))
-    held = replace(seen, misfit=float(misfit), angle_seen=False)
-    return replace(held, first_pose=fit_edges(picture, view, held, held.first_pose, _REACHES).pose)
+
+
+def _angle_shown(mask: Mask, raw: Heights, heights: Heights, table: TablePlane, view: View) -> bool:
+    """Whether the object, turned about an upright axis, stands out of its own picture.
+
+    Its readings, turned in all directions, are drawn into the picture: they show what the camera would see if
+    the object were round. So it does not matter which parts of the object it hides by itself.
+    """
+    sharp = cv2.medianBlur(np.where(np.isfinite(raw), raw, np.float32(0)), 3)
+    rows, columns = np.nonzero(mask & (sharp > 0))
+    if len(rows) == 0:
+        return True
+    # In random order, so that the first of them are spread over the object.
+    order = np.random.default_rng(0).permutation(len(rows))
+    tops = sharp[rows, columns].astype(float)[order]
+    points = table.meet(np.column_stack([columns, rows]).astype(float)[order], tops, view)
+    least = min(_PROUD, _LOW * float(np.median(tops)))
+
+    def turned(axis: FloatArray, turns: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Pixels (k, 2) and heights (k,) of the first `count` readings at each of the turns."""
+        c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
+        x, y = (points[:count] - axis).T
+        at = np.stack([axis[0] + c * x - s * y, axis[1] + s * x + c * y], axis=-1).reshape(-1, 2)
+        level = np.tile(tops[:count], len(turns))
+        return view.project(table.lift(at, level))[0], level
+
+    picture = HeightPicture(np.where(np.isnan(heights), np.float32(_HIDDEN), sharp))
+
+    def proud(axis: FloatArray) -> float:
+        pixels, level = turned(axis, _TURNS, _FOR_AXIS)
+        over = level - np.nan_to_num(picture.at(pixels))  # beside the picture nothing hides it
+        return float(np.mean(np.clip(over / least, 0.0, 1.0) ** 2))
+
+    middle = points.mean(axis=0)
+    best = minimize(
+        proud,
+        middle,
+        method="Nelder-Mead",
+        bounds=np.column_stack([points.min(axis=0), points.max(axis=0)]),
+        options={"initial_simplex": middle + _AXIS_OFF * np.array([[0, 0], [1, 0], [0, 1]]), "maxfev": 40},
+    )
+    if best.fun > _CLEARLY:
+        return True
+
+    def drawn(turns: FloatArray, count: int) -> Heights:
+        pixels, level = turned(best.x, turns, count)
+        inside = ((pixels > -0.5) & (pixels < np.array(mask.shape[::-1]) - 0.5)).all(axis=1)
+        highest = np.zeros(mask.shape, np.float32)
+        column, row = np.rint(pixels[inside]).astype(int).T
+        np.maximum.at(highest, (row, column), level[inside].astype(np.float32))
+        return cv2.GaussianBlur(highest, (0, 0), SMOOTHING)
+
+    rounded = drawn(_TURNS, (len(tops) + 1) // 2)
+    slopes = [cv2.Sobel(rounded, cv2.CV_32F, *along, scale=1 / 8) for along in ((1, 0), (0, 1))]
+    tolerance = np.hypot(least, _BESIDE * np.hypot(*slopes))
+    out = rounded - drawn(_SLIGHT, len(tops)) > tolerance
+    covered = (rounded > least) & ~np.isnan(heights)
+    return bool((out & covered).sum() > _MOST_PROUD * covered.sum())
 
 
 def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None = None) -> FloatArray:

@@ -71,7 +71,6 @@ _LEAST_SEEN_ANYWHERE = 0.9
 _LEAST_SEEN_COVERING, _LEAST_FOUND_COVERING, _MOST_UNCOVERED = 0.6, 0.6, 0.03
 _AROUND = np.ones((7, 7), np.uint8)  # pixels; edges are blurred
 _LEAST_AREA_ANYWHERE = 0.5  # of the footprint; with fewer pixels, too little of the object is seen
-_ROUND = 0.04  # of the mean misfit; turned cans have 0.006 to 0.013, a turned hexagon 0.058, a turned box 0.5
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
 # Error that averaging more edges does not remove, since the outline itself was measured.
 _FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
@@ -237,13 +236,6 @@ def load_kernels() -> None:
     edge_kernels.edges_found(picture, shape, lines, 1.0)
     edge_kernels.heights_off(picture, lens, shape, pose, 1.0)
     edge_kernels.mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
-
-
-def angle_shown(picture: HeightPicture, view: View, seen: SeenObject) -> bool:
-    """Whether the object, turned about its origin, no longer fits the picture of the first look."""
-    turned = seen.first_pose + np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)[:, None] * [0, 0, 1]
-    off, _ = edge_kernels.mean_misfits(picture, view.lens, seen.shape, turned, pixel_size(view), 1).T
-    return bool(np.max(off) > _ROUND)
 
 
 class _Candidate(NamedTuple):

@@ -52,6 +52,8 @@ _DOUBT = 1.5e-3  # m pixels²; divided by the edge's height: variance that noise
 _QUARTILES = 1.349  # distance between the quartiles of a normal distribution, in standard deviations
 _INSIDE = 0.9  # standard deviations from the middle of a rounded fall out to its foot
 _MOST_ROUND = 1.0  # pixels²
+_CLEAR_FLANK = 0.75  # pixels²; variance of a fall along a flank of 3 pixels
+_SUDDEN = 0.25  # of that variance; a smaller one shows no flank
 _ALONG = 11  # points of the median filter on the width of the fall
 _CUT = 4.0  # pixels; a longer edge is not a cut corner
 _CORNER = 1.0  # pixels from the blurred outline to the corner that it cuts
@@ -319,18 +321,17 @@ class Footprint(NamedTuple):
     outline: Outline  # points along the rings of `edge`
 
 
-def footprint(
-    mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View, overhung: bool = False
-) -> Footprint:
+def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
     """Outline in W, and the height of its edges, of the object whose pixels are a mask (H, W), in one piece.
 
     `contour` gives the outline in the picture. Each of its points is mapped to the world at the height at
     which the object is seen there, not at the table's: a top 100 mm high, seen 0.4 m off the axis, would
     otherwise appear shifted by 40 mm. `heights` (H, W) are smoothed, `raw` ones keep sharp edges, m. Where
-    the camera looks at a flank, that is upright, or hidden below the rim if `overhung`, as a bowl's is.
+    the camera looks at a flank, that is upright, or hidden below the rim, as a bowl's is.
     """
     pictures = HeightPicture(heights), HeightPicture(raw)
     rings = contour(mask, pictures[0], plane, view)
+    overhung = _overhung(rings[0].edge, pictures[0], plane, view)
     feet, edges = (
         [_in_world(ring, k == 0, *pictures, plane, view, overhung) for k, ring in enumerate(side)]
         for side in ([ring.foot for ring in rings], [ring.edge for ring in rings])
@@ -391,9 +392,7 @@ def _in_world(
     view: View,
     overhung: bool,
 ) -> Outline:
-    pixels, normals = _points_along(ring, outer=outer, begin=0.0)
-    # The side that an edge faces must not change with every ripple of the traced outline.
-    normals = _smooth_directions(normals, _RIPPLE)
+    pixels, normals = _along_border(ring, outer)
     edge = _edge_heights(pixels, normals, smoothed)
     rim = sharp.at(pixels - _RIM * normals)
     rim = _along_ring(np.where(np.isfinite(rim), rim, edge)[:, None])  # upright, unless seen to be rounded
@@ -405,6 +404,13 @@ def _in_world(
     far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
     seen_at = np.where(far | overhung, np.maximum(rim, edge / 2), edge / 2)
     return Outline(plane.meet(pixels, seen_at, view), outward, edge)
+
+
+def _along_border(ring: LinearRing, outer: bool) -> tuple[FloatArray, FloatArray]:
+    """Points (m, 2) along a ring in the picture, and outward normals (m, 2)."""
+    pixels, normals = _points_along(ring, outer=outer, begin=0.0)
+    # The side that an edge faces must not change with every ripple of the traced outline.
+    return pixels, _smooth_directions(normals, _RIPPLE)
 
 
 def _points_along(
@@ -475,6 +481,26 @@ def _roundness(
     points: FloatArray, normals: FloatArray, heights: HeightPicture, plane: TablePlane, view: View
 ) -> FloatArray:
     """(m,) variance of the fall in excess of blur and an upright flank, pixels²; 0 where unknown."""
+    fall, flank = _falls(points, normals, heights, plane, view)
+    variance = fall - flank
+    known = np.isfinite(variance)
+    blur = np.clip(np.percentile(variance[known], _SHARPEST), *_BLUR) if known.any() else _BLUR[0]
+    top = _edge_heights(points, normals, heights)
+    excess = np.where(known, variance - blur - _DOUBT / np.maximum(top, 1e-3), 0.0)
+    return median_filter(excess, size=min(_ALONG, len(points)), mode="wrap")
+
+
+def _overhung(ring: LinearRing, heights: HeightPicture, plane: TablePlane, view: View) -> bool:
+    """Whether heights fall at once, as at the rim of a bowl, where they would fall along an upright flank."""
+    fall, flank = _falls(*_along_border(ring, True), heights, plane, view)
+    clear = np.isfinite(fall) & (flank > _CLEAR_FLANK)
+    return bool(clear.any() and np.median((fall[clear] - _BLUR[0]) / flank[clear]) < _SUDDEN)
+
+
+def _falls(
+    points: FloatArray, normals: FloatArray, heights: HeightPicture, plane: TablePlane, view: View
+) -> tuple[FloatArray, FloatArray]:
+    """(m,) variances of the fall across an edge, NaN where unknown, and of an upright flank, pixels²."""
     outside, inside = _crossings(points, normals, heights, (0.25, 0.75))
     foot = plane.meet(points, 0.0, view)
     beyond = plane.meet(points + normals, 0.0, view) - foot
@@ -482,11 +508,7 @@ def _roundness(
     towards_camera = np.sum((view.p_WC[:2] - foot) * beyond, axis=1) / pixel
     top = _edge_heights(points, normals, heights)
     flank = np.maximum(towards_camera, 0.0) * top / (view.p_WC[2] - top) / pixel
-    variance = ((outside - inside) / _QUARTILES) ** 2 - flank**2 / 12
-    known = np.isfinite(variance)
-    blur = np.clip(np.percentile(variance[known], _SHARPEST), *_BLUR) if known.any() else _BLUR[0]
-    excess = np.where(known, variance - blur - _DOUBT / np.maximum(top, 1e-3), 0.0)
-    return median_filter(excess, size=min(_ALONG, len(points)), mode="wrap")
+    return ((outside - inside) / _QUARTILES) ** 2, flank**2 / 12
 
 
 def _cornered(points: FloatArray, strip: float = _STRIP) -> LinearRing:

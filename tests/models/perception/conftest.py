@@ -8,15 +8,16 @@ import pytest
 
 from slipmap.models.perception.pinhole_camera import PinholeCamera, View
 
+ABOVE = [[1.0, 0, 0, 0.02], [0, -1, 0, -0.01], [0, 0, -1, 1.1], [0, 0, 0, 1]]  # X_WC of a camera
+SLANTED = [[0, 0.8, -0.6, 0.72], [1, 0, 0, 0], [0, -0.6, -0.8, 0.96], [0, 0, 0, 1]]  # by 37°
 Box = tuple[float, float, float, float, float]  # x0, y0, x1, y1, height, object frame, m
 
 
 class Scene:
     """Depth pictures of an object made of boxes, at a pose on a table at z = 0."""
 
-    def __init__(self) -> None:
-        X_WC = np.array([[1.0, 0, 0, 0.02], [0, -1, 0, -0.01], [0, 0, -1, 1.1], [0, 0, 0, 1]])
-        self.view = View(PinholeCamera(640, 480, 492.0, 492.0, 319.5, 239.5), X_WC)
+    def __init__(self, X_WC: Sequence[Sequence[float]] = ABOVE) -> None:
+        self.view = View(PinholeCamera(640, 480, 492.0, 492.0, 319.5, 239.5), np.array(X_WC))
 
     def depth(self, boxes: Sequence[Box], pose: Sequence[float], table_radius: float = 0.5) -> np.ndarray:
         rays = self.view.rays.astype(float)
@@ -59,6 +60,11 @@ class Scene:
 @pytest.fixture(scope="session")
 def scene() -> Scene:
     return Scene()
+
+
+@pytest.fixture(scope="session")
+def slanted() -> Scene:
+    return Scene(SLANTED)
 
 
 @pytest.fixture(scope="session")

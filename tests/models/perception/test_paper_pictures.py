@@ -22,6 +22,7 @@ def view():
 def seen_area(depth, view):
     """Pixels that show the object as it was understood: its footprint and heights, seen from the camera."""
     seen = first_look([depth], view)
+    assert seen.angle_seen
     pixels = np.stack(np.meshgrid(np.arange(0, 640, 2.0), np.arange(0, 480, 2.0)), axis=-1)
     return heights_seen(seen.relief, pixels, seen.first_pose, seen.table, view) > 0
 
