@@ -79,7 +79,7 @@ def test_its_pushes_are_all_learned_from_with_the_effect_and_the_object_lies_whe
     assert new[-1].object_pose.values[0] == pytest.approx(old[-1].object_pose.values[-1], abs=2e-3)
     belief = Belief.load(out / "belief.npz")
     assert belief.settings["fit_trials"] == [trial.name for trial in old]
-    assert [effect.name for effect in belief.effects] == ["table_tilt"]
+    assert [effect.name for effect in belief.effects] == ["table_tilt", "load_transfer"]
     assert contents(explored) == kept
 
 

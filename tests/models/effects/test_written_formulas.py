@@ -120,11 +120,11 @@ def test_every_letter_is_explained_and_mathtext_can_set_it(effect) -> None:  # t
 
 
 def test_a_torque_that_is_no_mere_lever_is_printed() -> None:
-    assert not any("τ" in f.text for f in written(EFFECTS["table_tilt"]).formulas)
+    assert not any("τ" in f.text for f in written(EFFECTS["loose_mass"]).formulas)
 
-    class Twisted(type(EFFECTS["table_tilt"])):  # type: ignore[misc]
+    class Twisted(type(EFFECTS["loose_mass"])):  # type: ignore[misc]
         def force(self, body, p):  # type: ignore[no-untyped-def]
             fx, fy, torque = super().force(body, p)
-            return fx, fy, torque + p.down_x
+            return fx, fy, torque + p.share
 
     assert any(f.text.startswith("τ = ") for f in written(Twisted()).formulas)
