@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
 
@@ -58,7 +59,7 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     if not _spare:
         _spare.append(threading.Semaphore(config.NUMBA_NUM_THREADS - 1))
     results: list[Any] = [None] * len(tasks)
-    errors: dict[int, Exception] = {}
+    errors: dict[int, BaseException] = {}
     numbers, lock = iter(range(len(tasks))), threading.Lock()
     stopped = False
 
@@ -70,11 +71,14 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
                 return
             try:
                 results[number] = tasks[number]()
-            except Exception as error:
+            except BaseException as error:
                 errors[number] = error
+                if not isinstance(error, Exception):
+                    raise
 
     def help_out() -> None:
-        work()
+        with suppress(BaseException):  # this thread's caller raises it
+            work()
         _spare[0].release()
 
     threads: list[threading.Thread] = []
@@ -82,7 +86,12 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         while len(threads) < len(tasks) - 1 and _spare[0].acquire(blocking=False):
             # It ends with the program even if that is interrupted.
             threads.append(threading.Thread(target=help_out, daemon=True))
-            threads[-1].start()
+            try:
+                threads[-1].start()
+            except RuntimeError:  # no more threads
+                threads.pop()
+                _spare[0].release()
+                break
         work()
         for thread in threads:
             thread.join()

@@ -264,12 +264,15 @@ class Diagnosis(PythonSystem):
         return repair.findings[-2].effects if len(repair.findings) > 1 else self._given
 
     def _errors(self, repair: Repair, watch: Watch) -> dict[int, float]:
-        """Errors of the pushes predicted with the effects on trial, by number of the push, m."""
+        """Errors of the pushes predicted with the effects on trial, by number of the push, m.
+
+        A belief may hold more effects: a slope brings `load_transfer` with it.
+        """
         assert repair.tried is not None
         return {
             push.trial: push.error
             for push in watch.judged
-            if push.trial >= repair.tried.pushes and set(push.effects) == set(repair.effects)
+            if push.trial >= repair.tried.pushes and set(repair.effects) <= set(push.effects)
         }
 
     def _pushing_on(self, repair: Repair) -> Repair:

@@ -126,7 +126,7 @@ class Effect:
     def downhill(self, body: Any, p: Any) -> Any:
         """(a_x, a_y): acceleration by which gravity pulls along the table, world, m/s²; (0, 0) without.
 
-        The other effects know the sum over all effects as `downhill_x`, `downhill_y`.
+        Other formulas may use the sum over all effects, `downhill_x` and `downhill_y`.
         """
         return None
 

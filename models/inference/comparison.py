@@ -135,8 +135,8 @@ def compare(
 
     Args:
         dataset: pushes of the object that the belief is about.
-        belief: what was learned, from this or another dataset; or the result of `identify` for this dataset,
-            whose predictions are then taken; if None, `identify` learns it first.
+        belief: what was learned, from this or another dataset; predictions that came with it, where they are
+            of this dataset, are not made again; if None, `identify` learns it first.
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
@@ -154,11 +154,17 @@ def compare(
         >>> comparison.label, len(comparison.pushes)
         ('model', 3)
     """
+    pushes: tuple[Prediction, ...] | None = None
     if belief is None:
         belief = identify(dataset, seed=seed, progress=progress)
     if isinstance(belief, Identification):
-        pushes, belief = belief.pushes, belief.belief
-    else:
+        own = [(push.trial, push.role) for push in belief.pushes]
+        same = belief.belief.fingerprint == dataset.fingerprint and predictor is None
+        if same and own == [(trial.name, trial.role) for trial in dataset.trials]:
+            pushes, belief = belief.pushes, belief.belief
+        else:
+            belief = belief.belief
+    if pushes is None:
         check_same_object(belief, dataset)
         belief = belief.on(dataset.table)
         every = observe_all(dataset)

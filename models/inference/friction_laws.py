@@ -4,7 +4,7 @@ In the plain model each cell carries the weight of its own mass, however the obj
 Coulomb friction. It leaves out two things that hold for some recorded pushes and not for others:
 
 - a finger that pushes above the table shifts load to the object's front, by about its height times friction.
-  Where the object's height is known, half of it is assumed, with much doubt;
+  Where the finger's height is not stated, half of the object's is assumed, with much doubt;
 - a simulator that solves for friction impulse by impulse makes it lean towards the world axis along which an
   impulse meets more mass, as Bullet's solver for articulated bodies does.
 """
@@ -33,9 +33,8 @@ _EXPECTED = {
 """Prior mean and standard deviation of the laws' parameters; heights in units of the object's height.
 Friction leans as in Bullet, or not at all."""
 
-_UNMEASURED = {"push_height": (0.005, 0.005), "mass_height": (0.015, 0.01)}
-"""The same for an object of unknown height, m, that of the push above the finger's lower end: most objects
-on a table are a few centimetres high."""
+_ABOVE_ITS_END = (0.005, 0.005)  # m; mean and deviation of where a finger touches, above its lower end
+_OF_A_MASS = (0.015, 0.01)  # m; the same of a centre of mass: most objects on a table are a few cm high
 
 
 def effect_prior(effects: Sequence[Effect], dataset: PushDataset) -> tuple[FloatArray, FloatArray]:
@@ -46,11 +45,13 @@ def effect_prior(effects: Sequence[Effect], dataset: PushDataset) -> tuple[Float
     rows = []
     for parameter in every:
         mean, deviation = _EXPECTED[parameter.name]
-        if parameter.unit == "m" and dataset.height is not None:
-            mean, deviation = mean * dataset.height, deviation * dataset.height
+        if parameter.name == "push_height" and dataset.finger_height is not None:
+            mean, deviation = dataset.finger_height + _ABOVE_ITS_END[0], _ABOVE_ITS_END[1]
+        elif parameter.name == "mass_height" and dataset.height is None:
+            mean, deviation = _OF_A_MASS
         elif parameter.unit == "m":
-            mean, deviation = _UNMEASURED[parameter.name]
-            mean += (dataset.finger_height or 0.0) * (parameter.name == "push_height")
+            assert dataset.height is not None, "a law with heights needs that of the finger or the object"
+            mean, deviation = mean * dataset.height, deviation * dataset.height
         rows.append((mean, deviation))
     means, deviations = np.array(rows).T
     return np.clip(means, *bounds(effects)), deviations
@@ -60,12 +61,13 @@ def beside_slope(effects: Sequence[Effect], dataset: PushDataset) -> tuple[Effec
     """What a slope brings with it if the finger's height is stated: `load_transfer`, unless it is given.
 
     On a slope gravity acts at the height of the centre of mass and shifts load downhill; a finger that pushes
-    uphill shifts it back. Without either a slope is estimated up to a tenth too steep (docs/lab/adapt.md).
+    uphill shifts it back. Without both, a slope is estimated up to a tenth too steep (docs/lab/adapt.md).
     """
     sloping = any(type(effect).downhill is not Effect.downhill for effect in effects)
     if not sloping or dataset.finger_height is None:
         return ()
-    return tuple(e for e in LIBRARY if e.name == "load_transfer" and e not in effects)
+    names = {effect.name for effect in effects}  # effects of another process are copies
+    return tuple(e for e in LIBRARY if e.name == "load_transfer" and e.name not in names)
 
 
 def combinations(dataset: PushDataset, given: Sequence[Effect]) -> list[tuple[Effect, ...]]:
@@ -78,7 +80,8 @@ def combinations(dataset: PushDataset, given: Sequence[Effect]) -> list[tuple[Ef
         laws: list[tuple[Effect, ...]] = [(lean,)]
     else:
         laws = [(lean,), (transfer,), (transfer, lean)]
-    return [law for law in laws if not set(law) & set(given)]
+    names = {effect.name for effect in given}
+    return [law for law in laws if names.isdisjoint(effect.name for effect in law)]
 
 
 def name_of(effects: Sequence[Effect]) -> str:

@@ -189,8 +189,10 @@ def _compared(
     given = () if found is None else found.effects
     structures = {"own": settings} if settings is not None else structures_of(dataset)
     others = [] if plain_only else combinations(dataset, given)
-    total = len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
-    shares = iter(shares_of(progress, total))
+    besides = [
+        name for name in list(structures)[1:] if name != "smooth"
+    ]  # that a second law may be tried with
+    shares = iter(shares_of(progress, len(structures) + len(others) + (len(besides) if others else 0)))
 
     def fitted(law: Sequence[Effect], structure: str, known: Sequence[Explanation]) -> list[Explanation]:
         """The fit of a law and structure, from the best known fit of the law, else of the plain law, else
@@ -229,16 +231,13 @@ def _compared(
     def chain(law: Sequence[Effect], usual: Explanation) -> list[Explanation]:
         """Fits of a law with the structures besides the usual one, each from the best so far."""
         chained = [usual]
-        for structure in rest:
+        for structure in besides:
             chained += fitted(law, structure, chained)
         return chained[1:]
 
-    usual, *rest = structures
-    every = fitted((), usual, [])
-    if "smooth" in rest:
-        if every[0].model_error == MODEL_ERRORS[0]:
-            every = fitted((), "smooth", every) or every
-        rest.remove("smooth")
+    every = fitted((), next(iter(structures)), [])
+    if "smooth" in list(structures)[1:] and every[0].model_error == MODEL_ERRORS[0]:
+        every = fitted((), "smooth", every) or every
     plain = every[0]
     if plain.model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
         # The other laws could not be distinguished from the plain one, and would take long.

@@ -20,7 +20,10 @@ _DEVIATION = "{where}: a standard deviation must lie between 0 and {high:g}, got
 _THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
 _LENGTH = Number("m")
 _OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
-_FINGER = {"radius": Number("m", high=0.5, beyond=_THICK), "height": _LENGTH}
+_FINGER = {
+    "radius": Number("m", high=0.5, beyond=_THICK),
+    "height": Number("m", high=0.5, beyond="{where} is {value:g} m above the table; divide by 1000?"),
+}
 _GRAVITY = Number("m/s²", 1e-3, 1e3)
 _NOISE = {
     name: Number(unit, high=high, beyond=_DEVIATION, or_zero=True)
@@ -68,6 +71,11 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     table = _table(document.get("table"), f"{where}: table", warnings)
     noise = _noise(document.get("noise"), f"{where}: noise", warnings)
     height, mass = measured.get("height"), measured.get("mass")
+    if above is not None and height is not None and above >= height:
+        warnings.append(
+            f"{where}: finger.height is {above:g} m and object.height {height:g} m: the finger passes over"
+            " the object"
+        )
     known = None
     if document.get("known") is not None:
         known, doubts = known_maps.parse_known(document["known"], grid, mass, f"{where}: known")

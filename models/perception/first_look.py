@@ -192,7 +192,7 @@ def _angle_shown(mask: Mask, raw: Heights, heights: Heights, table: TablePlane, 
     tolerance = np.hypot(least, _BESIDE * np.hypot(*slopes))
     out = rounded - drawn(_SLIGHT, len(tops)) > tolerance
     covered = (rounded > least) & ~np.isnan(heights)
-    return bool((out & covered).sum() > _MOST_PROUD * covered.sum())
+    return not covered.any() or bool((out & covered).sum() > _MOST_PROUD * covered.sum())
 
 
 def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None = None) -> FloatArray:

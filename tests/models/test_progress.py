@@ -43,6 +43,21 @@ def test_the_first_failing_task_is_told() -> None:
         side_by_side([first, second])
 
 
+def test_a_task_that_ends_its_thread_is_an_error_too() -> None:
+    for _ in range(4):  # and its place is free for another
+        begun = threading.Event()
+
+        def task(begun: threading.Event = begun) -> None:
+            if threading.current_thread() is threading.main_thread():
+                assert begun.wait(30)
+            else:
+                begun.set()
+                raise SystemExit(3)
+
+        with pytest.raises(SystemExit):
+            side_by_side([task, task])
+
+
 def test_tasks_within_tasks_start_no_more_threads_than_there_are_cores() -> None:
     most, running, lock = 0, 0, threading.Lock()
 

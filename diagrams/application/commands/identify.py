@@ -164,7 +164,7 @@ def fit(
             write_json(json_file, result.to_json())
     show(result, measured, options.typed([dataset]))
     show_effects(result)
-    _show_gain(result)
+    _show_gain(result, effects)
     tell_files(output, drawn)
 
 
@@ -332,7 +332,7 @@ _SAID = {
 """What the pushes say about effects, by `Paired.verdict`."""
 
 
-def _show_gain(result: Identification) -> None:
+def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
     from slipmap.diagrams.application.reports.comparison_words import millimetres
 
     role = result.judges
@@ -340,9 +340,7 @@ def _show_gain(result: Identification) -> None:
     paired = result.with_and_without
     assert result.without_effects is not None and paired is not None
     now, before = (float(learned.errors(role).mean()) for learned in (result, result.without_effects))
-    effects = " and ".join(
-        effect.name for effect in result.belief.effects if effect.name in result.effect_estimates
-    )
+    effects = " and ".join(effect.name for effect in added)
     change = f"Push by push, their misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
         change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"

@@ -37,6 +37,8 @@ class Robot(DrivenBlock):
     Without effects the model of the test is `without` off, m.
     """
 
+    brought: tuple[str, ...] = ()  # effects that a belief holds besides those adopted
+
     def __init__(self, monkeypatch, *answers, without: float = 0.03, **given) -> None:
         self.asked: list[int] = []
         waiting = list(answers)
@@ -83,7 +85,9 @@ class Robot(DrivenBlock):
 
     def push(self, count: int, **seen) -> Repair:
         """The repair after so many pushes and what the monitor made of them."""
-        self.judged = (*self.judged, judged(count, self.read("effects"), **seen))
+        effects = self.read("effects")
+        effects = (*effects, *self.brought) if effects else ()
+        self.judged = (*self.judged, judged(count, effects, **seen))
         self.set(trials=tuple(Push(k) for k in range(count)), watch=Watch(count, np.zeros(3), self.judged))
         self.advance(2 * PERIOD)
         return self.read("repair")
@@ -222,9 +226,12 @@ def test_a_diagnosis_that_fails_is_told_and_the_robot_goes_on(monkeypatch, effec
         ((0.0105, 0.0105), 0.010, "keeps", "10.5 mm off on average; without, 10.0 mm. That decides nothing."),
     ],
 )
+@pytest.mark.parametrize("brought", [(), ("load_transfer",)])
 def test_an_adopted_effect_has_to_lower_the_error_of_the_next_pushes(
-    monkeypatch, errors, without, action, said
+    monkeypatch, errors, without, action, said, brought
 ):
+    """Whatever its belief brings with it."""
+    monkeypatch.setattr(Robot, "brought", brought)
     robot = Robot(monkeypatch, ("effect", ("tether",)), without=without)
     robot.push(5, alarm=True)
     for count, error in enumerate(errors, 6):

@@ -134,6 +134,17 @@ def test_pushes_that_the_belief_did_not_learn_from_are_told(result):
     assert replace(result, learnt_from="another").mostly_unseen
 
 
+def test_predictions_that_come_with_a_belief_are_used_for_their_own_pushes_alone(recorded):
+    dataset = recorded.dataset
+    learned = identify(dataset, hypotheses=2, friction_laws=False)
+    assert compare(dataset, learned).pushes is learned.pushes
+    others = replace(dataset, trials=dataset.trials[1:], fingerprint="another")
+    again = compare(others, learned)
+    assert [push.trial for push in again.pushes] == [trial.name for trial in others.trials]
+    one, other = (json.dumps(plain(found.to_json())) for found in (again, compare(others, learned.belief)))
+    assert one == other
+
+
 def test_another_object_is_refused(recorded, truth):
     with pytest.raises(BeliefError, match="finger"):
         compare(replace(recorded.dataset, finger_radius=0.02), truth)

@@ -30,7 +30,7 @@ HEIGHT = 0.05
 LAWS = {"load_transfer": (0.5 * HEIGHT, 0.5 * HEIGHT), "impulse_friction": (1.0,)}
 
 
-def made_by(recorded, *names: str, values=LAWS) -> PushDataset:  # type: ignore[no-untyped-def]
+def made_by(recorded, *names: str, values=LAWS, heldout: int = 4) -> PushDataset:  # type: ignore[no-untyped-def]
     """Ten pushes, four of them held out, of the object of `recorded` under a law, or with some effects."""
     names = names if values is LAWS else tuple(values)
     rng = np.random.default_rng(8)
@@ -48,7 +48,9 @@ def made_by(recorded, *names: str, values=LAWS) -> PushDataset:  # type: ignore[
     )
     slider = Slider(grid, 0.006, effects=effects) if names else recorded.slider
     truth = truth if names else recorded.truth
-    return record_pushes(slider, truth, pushes, rng, heldout=4, height=HEIGHT, mass=float(truth.mass.sum()))
+    return record_pushes(
+        slider, truth, pushes, rng, heldout=heldout, height=HEIGHT, mass=float(truth.mass.sum())
+    )
 
 
 @pytest.mark.parametrize("names", [(), ("load_transfer",), ("impulse_friction",)], ids="+".join)
@@ -120,6 +122,19 @@ def test_a_belief_of_several_laws_is_kept(recorded, tmp_path) -> None:  # type: 
     again = Belief.load(tmp_path / "belief.npz")
     assert np.array_equal(again.maps.effects, belief.maps.effects)
     assert [effect.name for effect in again.effects] == ["impulse_friction"]
+
+
+def test_every_structure_is_tried_with_a_law_that_is_likelier_than_the_plain_one(recorded) -> None:  # type: ignore[no-untyped-def]
+    """Where the pushes are explained well, and smooth maps are tried too."""
+    dataset = made_by(recorded, values={"load_transfer": (0.012, 0.012)}, heldout=1)
+    dataset = replace(dataset, height=0.024)
+    told: list[float] = []
+    found = identify(dataset, hypotheses=4, progress=lambda stage, done, total: told.append(done / total))
+    assert (
+        next(iter(found.friction_laws)) == "load_transfer"
+        and found.belief.settings["model_errors"][-1] == 0.005
+    )
+    assert max(told) <= 1.0
 
 
 @pytest.mark.parametrize("missing", ["height", "mass"])
@@ -273,9 +288,13 @@ def test_hypotheses_are_shared_out(shares, hypotheses, counts) -> None:  # type:
 
 def test_heights_are_expected_at_half_the_object(recorded) -> None:  # type: ignore[no-untyped-def]
     effects = [EFFECTS["load_transfer"], EFFECTS["impulse_friction"]]
-    means, deviations = effect_prior(effects, replace(made_by(recorded), height=0.04))
+    dataset = replace(made_by(recorded), height=0.04)
+    means, deviations = effect_prior(effects, dataset)
     assert means == pytest.approx([0.02, 0.02, 1.0])
     assert deviations == pytest.approx([0.006, 0.002, 0.01])
+    means, deviations = effect_prior(effects, replace(dataset, finger_height=0.004))
+    assert means == pytest.approx([0.009, 0.02, 1.0])
+    assert deviations == pytest.approx([0.005, 0.002, 0.01])
 
 
 def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  # type: ignore[no-untyped-def]
