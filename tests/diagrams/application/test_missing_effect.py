@@ -12,6 +12,8 @@ from report_page import assert_alone
 
 from slipmap.diagrams.application.commands.identify import _show_gain
 from slipmap.diagrams.application.reports.comparison_words import millimetres
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.push_errors import Paired
 from slipmap.models.measurements import write_dataset
 
@@ -78,10 +80,8 @@ def test_pushes_speak_for_an_effect_only_where_they_agree(capsys, factors, sente
     result = SimpleNamespace(
         judges="heldout",
         errors=lambda role: np.full(4, 1e-3),
-        belief=SimpleNamespace(effects=[SimpleNamespace(name="table_tilt")]),
-        effect_estimates={"table_tilt": {}},
         without_effects=SimpleNamespace(errors=lambda role: np.full(4, 2e-3)),
         with_and_without=Paired.of(misfits, misfits * factors),
     )
-    _show_gain(result)  # type: ignore[arg-type]
+    _show_gain(result, effects_named(["table_tilt"], LIBRARY))  # type: ignore[arg-type]
     assert sentence in " ".join(capsys.readouterr().out.split())
