@@ -124,10 +124,7 @@ class Effect:
         return None
 
     def downhill(self, body: Any, p: Any) -> Any:
-        """(a_x, a_y): acceleration by which gravity pulls along the table, world, m/s²; (0, 0) without.
-
-        Other formulas may use the sum over all effects, `downhill_x` and `downhill_y`.
-        """
+        """(a_x, a_y): gravity along the table, world, m/s²; formulas may use the sum, `downhill_x`, `_y`."""
         return None
 
     def blade(self, body: Any, p: Any) -> Any:

@@ -189,9 +189,8 @@ def _compared(
     given = () if found is None else found.effects
     structures = {"own": settings} if settings is not None else structures_of(dataset)
     others = [] if plain_only else combinations(dataset, given)
-    besides = [
-        name for name in list(structures)[1:] if name != "smooth"
-    ]  # that a second law may be tried with
+    # A second law may be tried with these too.
+    besides = [name for name in list(structures)[1:] if name != "smooth"]
     shares = iter(shares_of(progress, len(structures) + len(others) + (len(besides) if others else 0)))
 
     def fitted(law: Sequence[Effect], structure: str, known: Sequence[Explanation]) -> list[Explanation]:

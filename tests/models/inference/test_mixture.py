@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from slipmap.models.effects import LIBRARY
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.friction_laws import effect_prior
+from slipmap.models.inference.friction_laws import beside_slope, effect_prior
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import fit, identify
 from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, explain, shared_out
@@ -159,6 +160,14 @@ def test_a_slope_shifts_load_where_the_height_of_the_finger_is_stated(recorded) 
 
     assert sorted(stated) == ["load_transfer", "table_tilt"] and holds(stated["table_tilt"])
     assert sorted(unstated) == ["table_tilt"] and not holds(unstated["table_tilt"])
+
+
+def test_what_a_slope_brings_is_known_by_name(recorded) -> None:  # type: ignore[no-untyped-def]
+    """Effects that come from another process are copies."""
+    dataset = replace(made_by(recorded), finger_height=0.004)
+    slope, load = pickle.loads(pickle.dumps([EFFECTS["table_tilt"], EFFECTS["load_transfer"]]))
+    assert beside_slope([slope], dataset) == (EFFECTS["load_transfer"],)
+    assert beside_slope([slope, load], dataset) == beside_slope([EFFECTS["tether"]], dataset) == ()
 
 
 def test_two_hypotheses_follow_two_laws(recorded) -> None:  # type: ignore[no-untyped-def]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from spoilt_datasets import record
 
-from slipmap.models.measurements import Noise, Table, read_dataset
+from slipmap.models.measurements import DatasetError, Noise, Table, read_dataset
 
 
 def test_everything_arrives(example):
@@ -114,6 +114,15 @@ def test_an_object_that_never_moves_is_no_fault(example):
     for row in record(example)["tip_pose"]:
         row[1] = min(row[1], -0.057)
     assert read_dataset(example.write()).warnings == ()
+
+
+def test_a_finger_too_high_for_its_unit_or_for_the_object_is_told(example):
+    example.document["finger"]["height"] = 4.0
+    with pytest.raises(DatasetError, match=r"finger.height is 4 m above the table; divide by 1000"):
+        read_dataset(example.write())
+    example.document["finger"]["height"] = example.document["object"]["height"] = 0.03
+    dataset = read_dataset(example.write())
+    assert dataset.finger_height == 0.03 and any("passes over" in text for text in dataset.warnings)
 
 
 def test_no_finger_no_questions_about_it(example):
