@@ -31,6 +31,19 @@ def test_smoothing_removes_jitter_and_keeps_sudden_stops():
     assert speed[moving].std() < 0.1 * raw_speed[moving].std()
 
 
+def test_smoothing_keeps_the_corners_of_a_tap():
+    t = np.arange(100) * 0.01
+    acceleration = np.select([(t >= 0.3) & (t < 0.4), (t >= 0.6) & (t < 0.7)], [3.0, -3.0])  # to 0.3 m/s
+    x = np.cumsum(np.cumsum(acceleration)) * 0.01**2
+    true = np.column_stack([0.6 * x, 0.8 * x])
+    errors = []
+    for seed in range(20):
+        noisy = true + 1e-4 * np.random.default_rng(seed).standard_normal(true.shape)
+        errors.append((smooth_track(t, noisy)[1] - true) @ [0.6, 0.8])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5e-4
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.5e-4
+
+
 def test_a_weaving_track_without_noise_keeps_its_shape():
     t = np.arange(200) * 0.01
     track = np.column_stack([np.abs(t - 1.0), 0.02 * np.sin(6.0 * t)])
