@@ -16,6 +16,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
+from slipmap.diagrams.execution.arm_motion import TORQUE_LAG
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import PushDataset, Trial
@@ -75,7 +76,7 @@ class MeasurementLogger(PythonSystem):
     Inputs:
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
     - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N; `tip_age`
-      (1,): s since both were measured, 0 if not connected.
+      (1,): s since both were measured, 0 if not connected. The force is stamped `TORQUE_LAG` earlier.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
     Outputs:
     - `trials`: tuple of `Trial`.
@@ -149,7 +150,7 @@ class MeasurementLogger(PythonSystem):
         return replace(
             new,
             tips=(*new.tips, (time, float(tip[0]), float(tip[1]))),
-            forces=(*new.forces, (time, float(force[0]), float(force[1]), 0.0)),
+            forces=(*new.forces, (time - TORQUE_LAG, float(force[0]), float(force[1]), 0.0)),
         )
 
     def _completed(self, recording: _Recording, number: int) -> _Recording:

@@ -243,7 +243,7 @@ class PushLikelihood(ABC):
             """(K, G, T, …) forces from those of all pushes (K, Σ, …)."""
             if ends[0] == ends[-1]:
                 return np.zeros((len(rows), G, 0, *rows.shape[2:]))
-            each = [self._told(b, rows[:, i:j]) for b, (i, j) in zip(own, pairwise(ends), strict=True)]
+            each = [rows[:, i:j] for i, j in pairwise(ends)]
             result = np.zeros((len(rows), G, max(one.shape[1] for one in each), *rows.shape[2:]))
             for place, one in enumerate(each):
                 result[:, place, : one.shape[1]] = one
@@ -257,10 +257,6 @@ class PushLikelihood(ABC):
             slopes(side_by_side(rollouts.d_forces[..., used])),
         )
 
-    def _told(self, b: int, forces: FloatArray) -> FloatArray:
-        """(K, T, …) what is compared with the measured forces of push b, from its forces (K, steps, …)."""
-        return forces
-
     def _pose_errors(self, alike: Alike) -> tuple[FloatArray, FloatArray]:
         """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, G, S, 3), m, and derivatives
         (K, G, S, 3, p) with respect to the rollout's own columns."""
@@ -271,6 +267,12 @@ class PushLikelihood(ABC):
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
         slopes = slopes_at_centroid(alike.d_poses, arm, self._radius)
         return np.concatenate([here - there, turn], axis=-1), slopes
+
+    def _force_errors(self, alike: Alike) -> FloatArray:
+        """Mean forces that count, predicted minus measured (K, G, T, 2), N."""
+        seen = [self.observations[b] for b in alike.pushes]
+        measured = [observation.forces[observation.sliding] for observation in seen]
+        return alike.forces - stacked(measured, alike.forces.shape[2])
 
     @abstractmethod
     def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -327,7 +329,7 @@ class Likelihood(PushLikelihood):
             # With many rows the start is a mean of several and known better than a single row.
             single = any(len(observation.poses) == 1 for observation in observations)
             start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
-        pushes = [observation.push for observation in observations]
+        pushes = [observation.counted for observation in observations]
         super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)))
         self.settings = settings
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
@@ -380,15 +382,13 @@ class Likelihood(PushLikelihood):
         sigma = np.stack([self._sigmas[b] for b in alike.pushes])
         share = np.full((G, 1), min(1.0, settings.independent / S))
         groups = [(error, slopes, sigma, share)]
-        sliding = stacked([observation.sliding for observation in seen], alike.forces.shape[2])
-        if sliding.any():
-            used = sliding.any(axis=0)
-            measured = stacked([observation.forces for observation in seen], sliding.shape[1])
-            error = alike.forces - measured
+        T = alike.forces.shape[2]
+        if T:
+            count = np.array([observation.sliding.sum() for observation in seen])
             sigma = self._force_sigmas[alike.pushes][:, None]
-            share = np.minimum(1.0, settings.independent_forces / np.maximum(sliding.sum(axis=1), 1))
-            share = sliding[:, used] * share[:, None]
-            groups.append((error[:, :, used], alike.d_forces[:, :, used], sigma, share))
+            share = np.minimum(1.0, settings.independent_forces / np.maximum(count, 1))
+            share = (np.arange(T) < count[:, None]) * share[:, None]
+            groups.append((self._force_errors(alike), alike.d_forces, sigma, share))
         jacobians, residuals, costs = [], [], np.zeros((K, G))
         for error, slopes, sigma, share in groups:
             weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)

@@ -55,6 +55,12 @@ class Observation:
     sliding: np.ndarray
 
     @property
+    def counted(self) -> Push:
+        """The push with the times of those forces that count."""
+        times = np.asarray(self.push.force_times)[self.sliding]
+        return replace(self.push, force_times=times)
+
+    @property
     def without_forces(self) -> Observation:
         """The same, as if no force counted."""
         return replace(self, sliding=np.zeros(len(self.sliding), dtype=bool))
@@ -109,6 +115,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
         np.append(rotated(twist[:2], -start[2]), twist[2]),
         pose_times=np.minimum(times[rows], steps * step),
         force_times=np.minimum(force_times, steps * step),
+        force_span=duration / SAMPLES,
         order=float(order),
     )
     return Observation(

@@ -320,6 +320,42 @@ def store_rows(S, before, share, rows, first, n, out):  # type: ignore[no-untype
         _store_row(S, before, share, rows, others_at + row, out[i, n:])
 
 
+@compiled()
+def add_rows(F, part, begins, rows, n, out):  # type: ignore[no-untyped-def]
+    """Add a part of the rows of blocks with `rows` rows each to out (rows, parameters), or set out to it
+    where a sum begins; n is the number of loads."""
+    others_at = padded(n) * rows
+    for i in range(out.shape[0]):
+        if begins:
+            out[i] = 0.0
+        _add_row(F, part, rows, i * LANES, out[i, :n])
+        _add_row(F, part, rows, others_at + i * LANES, out[i, n:])
+
+
+@compiled(forceinline=True)
+def add_mass_rows(F, part, rows, layout, out):  # type: ignore[no-untyped-def]
+    """Like `add_rows`, for the masses only; out (rows, n)."""
+    masses_at = (padded(layout.n) + padded(layout.others)) * rows
+    for i in range(out.shape[0]):
+        _add_row(F, part, rows, masses_at + i * LANES, out[i])
+
+
+@compiled(forceinline=True)
+def _add_row(F, part, rows, at, out):  # type: ignore[no-untyped-def]
+    """Add a part of one row of as many blocks as `out` spans, starting at `at`."""
+    full = out.shape[0] // LANES
+    for b in range(full + 1):
+        target = out[b * LANES : min(out.shape[0], (b + 1) * LANES)]
+        begin = at + b * rows * LANES
+        source = F[begin : begin + LANES]
+        if b < full:
+            for lane in range(LANES):
+                target[lane] += part * source[lane]
+        else:
+            for lane in range(target.shape[0]):
+                target[lane] += part * source[lane]
+
+
 @compiled(forceinline=True)
 def _store_row(S, before, share, rows, at, out):  # type: ignore[no-untyped-def]
     """Copy one row of as many blocks as `out` spans, starting at `at`."""

@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 from slipmap.models.physics.blocks import (
     FIXED_ROWS,
+    add_mass_rows,
+    add_rows,
     carry_direct,
     empty_blocks,
     fill_force,
@@ -248,12 +250,14 @@ def _store_masses(rim, S, before, share, layout, out):  # type: ignore[no-untype
 
 
 @compiled(forceinline=True)
-def _store_mass_forces(rim, F, layout, out):  # type: ignore[no-untyped-def]
-    """Write the masses' rows of the force into out (2, n), if any are nonzero."""
+def _add_mass_forces(rim, F, part, begins, layout, out):  # type: ignore[no-untyped-def]
+    """Add a part of the masses' rows of the force to out (2, n), if any are nonzero."""
     if rim is None:
         return
+    if begins:
+        out[:] = 0.0
     if rim.flags[TOUCHED] != 0:
-        store_mass_rows(F, F, 1.0, 2, layout, out)
+        add_mass_rows(F, part, 2, layout, out)
 
 
 @compiled(forceinline=True)
@@ -314,7 +318,8 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
     """
     model, rim, effects, layout, delay, room = things
     S, before, F, slopes, contacts = room
-    h, size, steps, force_step = push.h, common.size, push.tip.shape[0] - 1, push.force_step
+    h, size, steps = push.h, common.size, push.tip.shape[0] - 1
+    force_first, force_last = push.force_first, push.force_last
     n, derive, remembers = layout.n, layout.others > 0, layout.memory > 0
 
     pose, twist = push.start_pose, push.start_twist
@@ -355,13 +360,18 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
             if result.rates.shape[0] > 0:
                 _set_rate(result.rates[sample], push, sample, delay, dx, dy, dtheta)
             sample += 1
-        first_force = force_sample
-        while force_sample < force_step.shape[0] and force_step[force_sample] == number:
-            result.forces[force_sample, 0], result.forces[force_sample, 1] = force
-            force_sample += 1
+        # Forces that this step is part of; those before are complete.
+        next_force = force_sample
+        while next_force < force_first.shape[0] and force_first[next_force] <= number:
+            if force_first[next_force] == number:
+                result.forces[next_force, 0] = result.forces[next_force, 1] = 0.0
+            part = 1.0 / (force_last[next_force] - force_first[next_force] + 1)
+            result.forces[next_force, 0] += part * force[0]
+            result.forces[next_force, 1] += part * force[1]
+            next_force += 1
 
         if derive:
-            wants_force = remembers or force_sample > first_force
+            wants_force = remembers or next_force > force_sample
             now = at_work(rim, S, layout)
             if between or wants_force:
                 copy_into(at_work(rim, before, layout), now)
@@ -375,9 +385,12 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
                 share = _sample_place(push, s, delay)[1]
                 store_rows(S, before, share, FIXED_ROWS + layout.memory, 0, n, result.d_poses[s])
                 _store_masses(rim, S, before, share, layout, result.mass_poses[s])
-            for s in range(first_force, force_sample):
-                store_rows(F, F, 1.0, 2, 0, n, result.d_forces[s])
-                _store_mass_forces(rim, F, layout, result.mass_forces[s])
+            for s in range(force_sample, next_force):
+                part, begins = 1.0 / (force_last[s] - force_first[s] + 1), force_first[s] == number
+                add_rows(F, part, begins, 2, n, result.d_forces[s])
+                _add_mass_forces(rim, F, part, begins, layout, result.mass_forces[s])
+        while force_sample < next_force and force_last[force_sample] == number:
+            force_sample += 1
         remember(effects, at_work(rim, S, layout), before, F, layout, following, force)
         motion = following
 
@@ -502,7 +515,7 @@ def single_steps(  # type: ignore[no-untyped-def]
     columns, rates, row, Z = jacobian.shape[2], after[:0, :3], wrench.reshape(1, 5), states.shape[1]
     for k in range(len(states)):
         state, here = states[k], slice(k, k + 1)
-        push = OnePush(h, tip, row, state[:3], state[3:STATE], _FIRST, _END, _END, _FIRST)
+        push = OnePush(h, tip, row, state[:3], state[3:STATE], _FIRST, _END, _END, _FIRST, _FIRST)
         # A rollout's poses and forces go to the rows of the state that hold them.
         poses, forces = after[here, :3], after[here, STATE:AFTER]
         d_poses, d_forces = jacobian[here, :3], jacobian[here, STATE:AFTER]

@@ -54,7 +54,9 @@ class JoinedPushes(NamedTuple):
     sample_fraction: FloatArray
     sample_time: FloatArray  # (S,) the same as times from the start of the push, s
     sample_at: IntArray
-    force_step: IntArray  # (T,) ascending steps whose contact force is wanted
+    # force_first, force_last: (T,) ascending first and last steps over which each contact force is a mean
+    force_first: IntArray
+    force_last: IntArray
     force_at: IntArray
 
 

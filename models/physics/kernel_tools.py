@@ -81,13 +81,15 @@ class OnePush(NamedTuple):
     sample_step: IntArray
     sample_fraction: FloatArray
     sample_time: FloatArray
-    force_step: IntArray
+    force_first: IntArray
+    force_last: IntArray
 
 
 @compiled(forceinline=True)
 def push_of(pushes, k, b):  # type: ignore[no-untyped-def]
     """`OnePush` b of model k."""
     samples = slice(pushes.sample_at[b], pushes.sample_at[b + 1])
+    forces = slice(pushes.force_at[b], pushes.force_at[b + 1])
     return OnePush(
         pushes.h[b],
         pushes.tip[pushes.tip_at[b] : pushes.tip_at[b + 1]],
@@ -97,7 +99,8 @@ def push_of(pushes, k, b):  # type: ignore[no-untyped-def]
         pushes.sample_step[samples],
         pushes.sample_fraction[samples],
         pushes.sample_time[samples],
-        pushes.force_step[pushes.force_at[b] : pushes.force_at[b + 1]],
+        pushes.force_first[forces],
+        pushes.force_last[forces],
     )
 
 

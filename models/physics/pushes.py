@@ -25,13 +25,15 @@ class Push:
         start_twist: (3,) v_x, v_y, omega in the object frame.
         pose_times: (S,) ascending times from the start at which poses are wanted, s; by default the ends of
             the steps.
-        force_times: (T,) the same for the contact force, which is the mean over the step around that time.
+        force_times: (T,) the same for the contact force, which is a mean over `force_span` around that time.
+        force_span: s; the mean is over the steps whose middles lie within it, at least over the step around
+            the time.
         wrench: (N, 5) applied force (world, N), its point (object frame, m) and a torque (N m), or None.
         order: index of the push in the experiment, from 0, for effects that change from push to push.
 
     Raises:
-        ValueError: shapes do not match, the step is not positive, or times lie outside the push or do not
-            ascend.
+        ValueError: shapes do not match, the step is not positive, the span of forces is negative, or times
+            lie outside the push or do not ascend.
 
     Example:
         >>> import numpy as np
@@ -48,12 +50,15 @@ class Push:
     start_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     pose_times: FloatArray | None = None
     force_times: FloatArray = field(default_factory=lambda: np.zeros(0))
+    force_span: float = 0.0
     wrench: FloatArray | None = None
     order: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.h) and self.h > 0):
             raise ValueError(f"push: the step h must be positive, got {self.h} s")
+        if not (np.isfinite(self.force_span) and self.force_span >= 0):
+            raise ValueError(f"push: force_span must not be negative, got {self.force_span} s")
         tip = np.ascontiguousarray(self.tip, dtype=float)
         if tip.ndim != 2 or tip.shape[1] != 2 or len(tip) < 2:
             raise ValueError(f"push: tip must have shape (N + 1, 2) with at least one step, got {tip.shape}")
@@ -96,9 +101,16 @@ class Push:
         return _sample_steps(self.h, len(self.tip) - 1, self.pose_times)
 
     @cached_property
-    def force_steps(self) -> NDArray[np.int64]:
-        """(T,) step in which each force time falls."""
-        return _sample_steps(self.h, len(self.tip) - 1, self.force_times)[0]
+    def force_steps(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(T,) first and (T,) last step over which each force is a mean."""
+        steps = len(self.tip) - 1
+        around = _sample_steps(self.h, steps, self.force_times)[0]
+        half = 0.5 * self.force_span * (1 + 1e-9)
+        first = np.ceil((self.force_times - half) / self.h - 0.5).astype(np.int64)
+        last = np.floor((self.force_times + half) / self.h - 0.5).astype(np.int64)
+        within = first <= last
+        first, last = np.where(within, first, around), np.where(within, last, around)
+        return np.clip(first, 0, steps - 1), np.clip(last, 0, steps - 1)
 
     @classmethod
     def by_force(
@@ -150,7 +162,7 @@ def join_pushes(
     if not pushes:
         raise ValueError("rollout: needs at least one push")
     wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
-    samples = [push.pose_samples for push in pushes]
+    samples, forces = [push.pose_samples for push in pushes], [push.force_steps for push in pushes]
     return JoinedPushes(
         np.array([push.h for push in pushes]),
         np.concatenate([push.tip for push in pushes]),
@@ -163,8 +175,9 @@ def join_pushes(
         np.concatenate([fraction for _, fraction in samples]),
         np.concatenate([np.asarray(push.pose_times) for push in pushes]),
         _offsets([len(step) for step, _ in samples]),
-        np.concatenate([push.force_steps for push in pushes]),
-        _offsets([len(push.force_steps) for push in pushes]),
+        np.concatenate([first for first, _ in forces]),
+        np.concatenate([last for _, last in forces]),
+        _offsets([len(first) for first, _ in forces]),
     )
 
 

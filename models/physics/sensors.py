@@ -1,7 +1,8 @@
 """Reports of tracker and force sensor for a true motion, according to the effects in a model.
 
 The kernel handles the tracker's delay, since it knows every pose within a step. The rest is done here after a
-rollout, with derivatives. A late force is interpolated between the means of the two steps around its time.
+rollout, with derivatives. A late force is interpolated between the two steps around its time, for
+each step of its span.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ class Sensors:
             needed = [_about(*self._place(k, b, joined))[0] for k in range(len(self.values))]
             steps.append(np.unique(needed))
             at.append(at[-1] + len(steps[-1]))
-        return joined._replace(force_step=np.concatenate(steps), force_at=np.array(at, dtype=np.int64))
+        every = np.concatenate(steps)
+        at_push = np.array(at, dtype=np.int64)
+        return joined._replace(force_first=every, force_last=every, force_at=at_push)
 
     def reported(
         self, results: Results, true: JoinedPushes, joined: JoinedPushes, starts: TrueStarts, cells: int
@@ -134,9 +137,11 @@ class Sensors:
             by_mass[...] = by_force @ by_mass
 
     def _place(self, k: int, b: int, joined: JoinedPushes) -> tuple[FloatArray, int]:
-        """(T,) fractional steps whose forces model k reports in push b, and the push's number of steps."""
-        wanted = joined.force_step[joined.force_at[b] : joined.force_at[b + 1]]
+        """Fractional steps whose forces model k reports in push b, span after span, and the push's number of
+        steps."""
         steps = int(joined.tip_at[b + 1] - joined.tip_at[b]) - 1
+        spans = zip(*_spans(joined, b), strict=True)
+        wanted = np.concatenate([np.zeros(0), *(np.arange(first, last + 1.0) for first, last in spans)])
         return wanted - self.force_delays[k] / joined.h[b], steps
 
     def _late(self, results: Results, true: JoinedPushes, joined: JoinedPushes) -> Results:
@@ -152,17 +157,30 @@ class Sensors:
             for b in range(len(joined.h)):
                 rows = slice(joined.force_at[b], joined.force_at[b + 1])
                 steps, share, slope = _about(*self._place(k, b, joined))
-                have = true.force_step[true.force_at[b] : true.force_at[b + 1]]
+                if steps.shape[1] == 0:
+                    continue
+                first, last = _spans(joined, b)
+                counts = last - first + 1
+                begins = np.cumsum(counts) - counts
+                have = _spans(true, b)[0]
                 at, after, before = true.force_at[b] + np.searchsorted(have, steps)
                 for name in names:
                     own = getattr(results, name)[k]
-                    weight = share.reshape(-1, *(1,) * (own.ndim - 1))
-                    found[name][k, rows] = own[at] + weight * (own[after] - own[at])
+                    ones = (1,) * (own.ndim - 1)
+                    late = own[at] + share.reshape(-1, *ones) * (own[after] - own[at])
+                    found[name][k, rows] = np.add.reduceat(late, begins) / counts.reshape(-1, *ones)
                 if results.d_forces.shape[-1]:
                     rate = results.forces[k, after] - results.forces[k, before]
                     rate *= (slope / joined.h[b])[:, None]
+                    rate = np.add.reduceat(rate, begins) / counts[:, None]
                     found["d_forces"][k, rows, :, -P:] -= rate[..., None] * self.force_delay_slopes[k]
         return results._replace(**found)
+
+
+def _spans(joined: JoinedPushes, b: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(T,) first and last steps of the forces of push b."""
+    rows = slice(joined.force_at[b], joined.force_at[b + 1])
+    return joined.force_first[rows], joined.force_last[rows]
 
 
 def _delays(delay: Delay | None, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,9 +6,8 @@ modelled, and all poses count.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import Alike, PushLikelihood, stacked
-from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
+from slipmap.models.inference.likelihood import Alike, PushLikelihood
+from slipmap.models.inference.observations import AVERAGED, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
@@ -52,17 +51,12 @@ class FitData:
     Attributes:
         observations: the same.
         pushes: to roll out, with the times of all forces that count.
-        stretches: (T, steps) of each push, the matrix that averages forces over the measured intervals.
         radius: ρ of the object's cells, m.
     """
 
     def __init__(self, observations: Sequence[Observation], grid: CellGrid) -> None:
         self.observations: Sequence[Observation] = list(observations)
-        dense = [_force_steps(o) for o in self.observations]
-        self.pushes: list[Push] = [
-            replace(o.push, force_times=times) for o, (times, _) in zip(self.observations, dense, strict=True)
-        ]
-        self.stretches = [stretch for _, stretch in dense]
+        self.pushes: list[Push] = [observation.counted for observation in self.observations]
         self.radius = radius_of_gyration(grid)
         self._travel = [travelled(o, grid.centers) for o in self.observations]
         self._kept: dict[tuple[str, SensorNoise, float], list[tuple[FloatArray, float]]] = {}
@@ -99,27 +93,6 @@ def _inverse_factors(covariances: FloatArray) -> tuple[FloatArray, float]:
         [scipy.linalg.solve_triangular(factor, unit, lower=True, check_finite=False) for factor in factors]
     )
     return inverses, float(np.log(np.diagonal(factors, axis1=-2, axis2=-1)).sum())
-
-
-def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
-    """Times of all steps in the intervals whose mean force counts, and the matrix (T, steps) of the means.
-
-    A slightly noisy finger path rattles the object; averaged over a whole interval this cancels in both the
-    measured and the predicted force.
-    """
-    push = observation.push
-    middles = np.asarray(push.force_times)[observation.sliding]
-    if len(middles) == 0:
-        return np.zeros(0), np.zeros((0, 0))
-    steps = len(push.tip) - 1
-    half = 0.5 * steps * push.h / SAMPLES
-    times = (np.arange(steps) + 0.5) * push.h
-    inside = np.abs(times[None] - middles[:, None]) <= half * (1 + 1e-9)
-    # An interval shorter than a step takes the step that contains it.
-    empty = ~inside.any(axis=1)
-    inside[empty, np.clip((middles[empty] / push.h).astype(int), 0, steps - 1)] = True
-    used = inside.any(axis=0)
-    return times[used], inside[:, used] / inside.sum(axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,22 +141,11 @@ class CorrelatedLikelihood(PushLikelihood):
         for alike in self._rolled_out(maps, offsets[None], columns, convert=True):
             (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
             for place, b in enumerate(alike.pushes.tolist()):
-                T = len(self.measured.stretches[b])
+                T = len(self._pushes[b].force_times)
                 found[b] = Linearised(
                     pose[0, place], pose_slopes[0, place], force[0, place, :T], alike.d_forces[0, place, :T]
                 )
         return [found[b] for b in range(len(self.observations))]
-
-    def _told(self, b: int, forces: FloatArray) -> FloatArray:
-        mean = self.measured.stretches[b]
-        K, steps, *others = forces.shape
-        return (mean @ forces.reshape(K, steps, math.prod(others))).reshape(K, len(mean), *others)
-
-    def _force_errors(self, alike: Alike) -> FloatArray:
-        """Mean forces, predicted minus measured (K, G, T, 2), N."""
-        seen = [self.observations[b] for b in alike.pushes]
-        measured = [observation.forces[observation.sliding] for observation in seen]
-        return alike.forces - stacked(measured, alike.forces.shape[2])
 
     def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
         (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)

@@ -47,6 +47,8 @@ BAD_PUSHES: dict[str, tuple[dict[str, Any], str]] = {
     "times after the push": ({"pose_times": np.array([0.05, 0.21])}, "pose_times"),
     "force times fall": ({"force_times": np.array([0.1, 0.05])}, "force_times"),
     "force times after the push": ({"force_times": np.array([0.3])}, "force_times"),
+    "negative span": ({"force_span": -0.1}, "force_span"),
+    "span not a number": ({"force_span": NAN}, "force_span"),
     "wrench too short": ({"wrench": np.zeros((STEPS - 1, 5))}, "wrench"),
     "wrench of three": ({"wrench": np.zeros((STEPS, 3))}, "wrench"),
     "tip half there": ({"tip": with_value(TIP, (5, 1), NAN)}, "tip"),

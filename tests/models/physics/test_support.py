@@ -1,6 +1,7 @@
 """Loads when part of the object lies beyond the table's rim, and their effect on motion and derivatives."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -277,6 +278,28 @@ def test_derivatives_of_pushes_that_stay_and_that_come_near() -> None:
     assert np.array_equal(both.d_poses_of(1), alone[1].d_poses)
     assert not both.d_poses_of(0)[..., slider.columns :].any()
     assert not both.d_forces_of(0)[..., slider.columns :].any()
+
+
+@pytest.mark.parametrize("late", [0.0, 2.4])
+@pytest.mark.parametrize("table", TABLES)
+def test_a_force_over_a_span_is_the_mean_of_its_steps(table: str, late: float) -> None:
+    """With derivatives, where a span begins far from the rim and ends near it, and if forces are late."""
+    near = push_over()
+    push = finger_push(near.tip - [0.03, 0.0], near.h, start_pose=near.start_pose - [0.03, 0.0, 0.0])
+    effects = [EFFECTS["force_latency"]] if late else []
+    maps = with_values(plain_maps(), np.array([late * push.h])) if late else plain_maps()
+    slider = Slider(BLOCK, RADIUS, effects=effects, table=TABLES[table])
+    every = slider.rollout(maps, [push], sensitivities=True)
+    rim = int(np.argmax(np.abs(every.d_forces[0, ..., slider.columns :]).sum(axis=(1, 2)) > 0))
+    assert rim > 10
+    spans = [slice(3, 8), slice(rim - 2, rim + 3), slice(rim + 3, rim + 8)]
+    times = push.h * np.array([0.5 * (span.start + span.stop) for span in spans])
+    averaged = replace(push, force_times=times, force_span=5 * push.h)
+    out = slider.rollout(maps, [averaged], sensitivities=True)
+    for row, span in enumerate(spans):
+        assert out.forces[0, row] == pytest.approx(every.forces[0, span].mean(axis=0), abs=1e-12)
+        expected = every.d_forces[0, span].mean(axis=0)
+        assert out.d_forces[0, row] == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("table", TABLES)
