@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 from slipmap.models.physics.cell_grid import FloatArray
 
 _LEAST_CHANGES = np.geomspace(3.0, 0.1, 15)  # ε of each iteration: smaller changes of acceleration are none
+_OFF_TRACK = 2.5  # times the noise; farther rows count linearly (Huber)
 _SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
 _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
@@ -37,12 +38,12 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     blunt these corners or let jitter pass; both change how far a struck object slides. So the track x
     minimises, with the noise σ of the recorded rows y,
 
-        ½ Σ |y - x|² / σ² + 3/2 Σ log(1 + |Δ³x|² / (ε σ)²),
+        Σ huber(|y - x| / σ) + 3/2 Σ log(1 + |Δ³x|² / (ε σ)²),
 
-    where third differences Δ³x, the changes of acceleration, are distributed as Cauchy's. Each iteration
-    solves a weighted least-squares problem with the weights of the last one, for ε that falls from 3 to 0.1,
-    which keeps the search from poor minima. σ is estimated from third differences, which are small in smooth
-    motion.
+    where third differences Δ³x, the changes of acceleration, are distributed as Cauchy's, and single rows off
+    the track, such as those stamped late, count linearly. Each iteration solves a least-squares problem with
+    the weights of the last one, for ε that falls from 3 to 0.1, which keeps the search from poor minima. σ is
+    estimated from third differences, which are small in smooth motion.
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
@@ -60,22 +61,23 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
     smooth = rows = raw / noise
-    changes = np.zeros(len(rows) - 3)
+    changes, counts = np.zeros(len(rows) - 3), np.ones(len(rows))
     for least in _LEAST_CHANGES:
-        smooth = _least_squares(rows, 3.0 / (changes + least**2))
+        smooth = _least_squares(rows, counts, 3.0 / (changes + least**2))
         changes = (np.diff(smooth, 3, axis=0) ** 2).sum(axis=1)
+        counts = _OFF_TRACK / np.maximum(np.hypot(*(smooth - rows).T), _OFF_TRACK)
     return grid, smooth * noise
 
 
-def _least_squares(rows: FloatArray, weight: FloatArray) -> FloatArray:
-    """x (T, c) that minimises Σ |x - rows|² + Σ weight |Δ³x|², for weights (T - 3,)."""
+def _least_squares(rows: FloatArray, counts: FloatArray, weight: FloatArray) -> FloatArray:
+    """x (T, c) that minimises Σ counts |x - rows|² + Σ weight |Δ³x|², for weights (T,) and (T - 3,)."""
     upper = np.zeros((4, len(rows)))  # of the symmetric matrix with three diagonals beside the main one
-    upper[3] = 1.0
+    upper[3] = counts
     third = (-1.0, 3.0, -3.0, 1.0)
     for i, left in enumerate(third):
         for j, right in enumerate(third[i:], i):
             upper[3 - (j - i), j : j + len(weight)] += left * right * weight
-    return solveh_banded(upper, rows)
+    return solveh_banded(upper, counts[:, None] * rows)
 
 
 def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:

@@ -44,6 +44,14 @@ def test_smoothing_keeps_the_corners_of_a_tap():
     assert np.abs(np.mean(errors, axis=0)).max() < 0.5e-4
 
 
+def test_a_single_row_off_the_track_does_not_bend_it():
+    t = np.arange(100) * 0.01
+    true = np.column_stack([0.05 * np.clip(t - 0.2, 0.0, 0.5), 0.0 * t])
+    noisy = true + 2e-5 * np.random.default_rng(0).standard_normal(true.shape)
+    noisy[50] += [5e-4, -5e-4]
+    assert np.abs(smooth_track(t, noisy)[1] - true)[30:65].max() < 4e-5
+
+
 def test_a_weaving_track_without_noise_keeps_its_shape():
     t = np.arange(200) * 0.01
     track = np.column_stack([np.abs(t - 1.0), 0.02 * np.sin(6.0 * t)])
