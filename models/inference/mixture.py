@@ -107,7 +107,7 @@ class EffectsGiven:
     effects: tuple[Effect, ...]
     values: FloatArray  # (P,) expected parameters
     scales: FloatArray  # (P,) their standard deviations
-    maps: Maps  # to start from, one hypothesis
+    maps: Maps  # to start from, one hypothesis; its effects do not count
 
 
 def on_a_slope(found: Fitted | EffectsGiven, dataset: PushDataset) -> Fitted | EffectsGiven:
@@ -116,9 +116,8 @@ def on_a_slope(found: Fitted | EffectsGiven, dataset: PushDataset) -> Fitted | E
     if not more:
         return found
     means, deviations = effect_prior(more, dataset)
-    maps = replace(found.maps, effects=np.concatenate([found.maps.effects, means[None]], axis=1))
     values, scales = np.concatenate([found.values, means]), np.concatenate([found.scales, deviations])
-    return EffectsGiven((*found.effects, *more), values, scales, maps)
+    return EffectsGiven((*found.effects, *more), values, scales, found.maps)
 
 
 def explain(

@@ -1,11 +1,12 @@
 """One model of several datasets: objects with separate maps, and effects of what they share.
 
 The coordinates are those of every object's maps, one after the other, then those of the effects: once where
-the datasets share the effect's owner (`Effect.belongs_to`), otherwise once for each dataset. The normal
+the datasets share the effect's owner (`Effect.belongs_to`), otherwise once for each dataset; last come those
+of what a slope brings with it in each dataset, which are free like maps (`Together.refined`). The normal
 equations are sums over the datasets with a block arrow structure; they are small compared with the rollouts,
 so they are solved as one dense matrix, and the time of a fit is proportional to its pushes. The likelihood is
 the forgiving one, with the α of largest evidence for each dataset, so that a push near balance does not
-outweigh all others.
+outweigh all others. Effects are looked for with the α of the model without them.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, Scene
+from slipmap.models.inference import friction_laws
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.hypotheses import fit_with_trust
 from slipmap.models.inference.likelihood import (
     Likelihood,
     LikelihoodSettings,
     NormalEquations,
-    PushCosts,
 )
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import (
@@ -35,7 +36,7 @@ from slipmap.models.inference.prior import (
 )
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.progress import StageProgress
+from slipmap.models.progress import StageProgress, part_of
 
 _EXACT = 1e-3
 """Standard deviation of a held parameter, as a share of its scale."""
@@ -110,9 +111,9 @@ class Taught:
         coordinates (d,) in it."""
         scales = _prior(self.dataset, effects, self.weight).effect_scales
         spread = np.where(free, scales, _EXACT * scales)
-        prior = _prior(self.dataset, effects, self.weight, (values, spread))
+        prior = _prior(self.dataset, effects, self.weight, (values, spread), slopes=True)
         likelihood = Likelihood(prior, self.observations, self.dataset.noise, self.settings)
-        start = np.concatenate([self.base.z[0], np.zeros(len(values))])
+        start = np.concatenate([self.base.z[0], np.zeros(prior.size - prior.plain)])
         return prior, fit(likelihood, start[None], offsets=self.base.offsets, progress=progress).z[0]
 
     def costs(self, observations: Sequence[Observation], prior: MapPrior, z: FloatArray) -> FloatArray:
@@ -147,19 +148,31 @@ def _prior(
     effects: Sequence[Effect],
     weight: float | None,
     effect_prior: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    slopes: bool = False,
 ) -> MapPrior:
     settings = next(iter(structures_of(dataset).values()))  # the one that `identify` tries first
-    return MapPrior(
-        slider_for(dataset, effects), settings, dataset.mass, weight, effect_prior, known=dataset.known
-    )  # fmt: skip
+    more = friction_laws.beside_slope(effects, dataset) if slopes else ()
+    prior = MapPrior(
+        slider_for(dataset, (*effects, *more)), settings, dataset.mass, weight, known=dataset.known
+    )
+    P = _parameters(effects)
+    if effect_prior is not None:
+        prior.effect_centers[:P], prior.effect_scales[:P] = effect_prior
+    prior.effect_centers[P:], prior.effect_scales[P:] = friction_laws.effect_prior(more, dataset)
+    return prior
+
+
+def _parameters(effects: Sequence[Effect]) -> int:
+    return sum(len(effect.parameters) for effect in effects)
 
 
 class JointPrior(EffectCoordinates):
     """Joint coordinates of several datasets' maps and of effects.
 
     Args:
-        priors: of each dataset, with the same effects at the same scales.
-        effects: the effects.
+        priors: of each dataset, with the same effects at the same scales, and perhaps more of its own.
+        effects: those of all datasets, which come first.
         apart: as for `is_shared`.
 
     Attributes:
@@ -170,21 +183,24 @@ class JointPrior(EffectCoordinates):
         begins = np.cumsum([0, *(prior.plain for prior in priors)])
         self.plain = int(begins[-1])
         places = [[np.arange(begin, end)] for begin, end in pairwise(begins)]
-        columns = [np.zeros(0, dtype=np.int64)]  # index of each parameter in a dataset's prior
-        at, size = 0, self.plain
+        size = self.plain
         for effect in effects:
-            own = at + np.arange(len(effect.parameters))
+            count = len(effect.parameters)
             for k, place in enumerate(places):
-                if k == 0 or not is_shared(effect, apart):
-                    columns.append(own)
-                    size += len(own)
-                place.append(np.arange(size - len(own), size))
-            at += len(own)
+                size += count if k == 0 or not is_shared(effect, apart) else 0
+                place.append(np.arange(size - count, size))
+        for prior, place in zip(priors, places, strict=True):
+            more = prior.size - prior.plain - _parameters(effects)
+            place.append(np.arange(size, size + more))
+            size += more
         self.places = [np.concatenate(place) for place in places]
-        every, first = np.concatenate(columns), priors[0]
-        self.effect_centers, self.effect_scales = first.effect_centers[every], first.effect_scales[every]
-        self.effect_bounds = first.effect_bounds[0][every], first.effect_bounds[1][every]
-        self.amplitudes = first.amplitudes[every]
+        self.effect_centers, self.effect_scales, low, high = np.zeros((4, size - self.plain))
+        self.effect_bounds, self.amplitudes = (low, high), np.zeros(size - self.plain, dtype=bool)
+        for prior, every in zip(priors, self.places, strict=True):
+            own = every[prior.plain :] - self.plain
+            self.effect_centers[own], self.effect_scales[own] = prior.effect_centers, prior.effect_scales
+            low[own], high[own] = prior.effect_bounds
+            self.amplitudes[own] = prior.amplitudes
 
 
 class JointLikelihood:
@@ -195,7 +211,7 @@ class JointLikelihood:
         parts: likelihood of each dataset.
     """
 
-    def __init__(self, prior: JointPrior, parts: Sequence[PushCosts]) -> None:
+    def __init__(self, prior: JointPrior, parts: Sequence[Likelihood]) -> None:
         self.prior = prior
         self.parts = list(parts)
         self.observations: Sequence[Observation] = [o for part in parts for o in part.observations]
@@ -412,10 +428,31 @@ class Together:
         found = fit(likelihood, z[None], prior_mean=mean[None], offsets=self._offsets, iterations=40)
         return JointFit(tuple(effects), likelihood, mean, found)
 
+    def refined(self, found: JointFit, progress: StageProgress) -> JointFit:
+        """The same effects fitted again, as they are reported: with the α of largest evidence with
+        these effects, and with what a slope brings in each dataset (`beside_slope`).
+
+        Raises:
+            RolloutError: it cannot be computed.
+        """
+        parts, away = [], found.found.z[0] - found.mean
+        for k, one in enumerate(self.taught):
+            place = found.likelihood.prior.places[k]
+            centers = found.likelihood.parts[k].prior.effect_values(found.mean[None, place])[0]
+            prior = _prior(one.dataset, found.effects, self.weight, (centers, found.scales), slopes=True)
+            start = np.concatenate([away[place], np.zeros(prior.size - len(place))])[None]
+            own = part_of(progress, k, len(self.taught))
+            parts.append(fit_with_trust(prior, one.observations, one.dataset.noise, start, own)[-1][0])
+        joint = JointPrior([part.prior for part in parts], found.effects, self.apart)
+        z = np.concatenate([away, np.zeros(joint.size - len(away))])
+        likelihood = JointLikelihood(joint, parts)
+        again = fit(likelihood, z[None], offsets=found.found.offsets, iterations=40)
+        return JointFit(found.effects, likelihood, np.zeros(joint.size), again)
+
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """One model fitted to several datasets."""
+    """One model fitted to several datasets; what a slope brings with it counts as part of each object."""
 
     effects: tuple[Effect, ...]
     likelihood: JointLikelihood
@@ -436,38 +473,45 @@ class JointFit:
         """Log probability of the pushes over that of a model without effects (Laplace), nats."""
         return base.cost - self.cost - (self.occam - base.occam)
 
+    @property
+    def _count(self) -> int:
+        return _parameters(self.effects)
+
     def values(self, k: int) -> FloatArray:
         """(P,) parameters of the effects in dataset k."""
-        prior = self.likelihood.parts[k].prior  # type: ignore[attr-defined]
-        return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0]
+        prior = self.likelihood.parts[k].prior
+        return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0, : self._count]
 
     @property
     def scales(self) -> FloatArray:
         """(P,) standard deviations of the parameters in the prior."""
-        return self.likelihood.parts[0].prior.effect_scales  # type: ignore[attr-defined]
+        return self.likelihood.parts[0].prior.effect_scales[: self._count]
 
     def deviations(self, k: int) -> FloatArray:
         """(P,) their standard deviations, marginal over everything else."""
         joint = self.likelihood.prior
         own = joint.places[k][joint.places[k] >= joint.plain] - joint.plain
-        return joint.effect_deviations(self.found.hessian[0])[own]
+        return joint.effect_deviations(self.found.hessian[0])[own[: self._count]]
 
     def alone(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Parameters (P,) from dataset k alone, to first order and without a prior of the effects, and their
         standard deviations. Parameters that only shape an effect are held."""
         part, place = self.likelihood.parts[k], self.likelihood.prior.places[k]
-        prior: MapPrior = part.prior  # type: ignore[attr-defined]
+        prior = part.prior
         z, pushes = self.found.z[:, place], self.likelihood.pushes[k]
         offsets = self.found.offsets[:, pushes]
         equations = part.linearise(z, offsets, np.ones(1), np.ones((1, offsets.shape[1])))
-        amplitudes = np.flatnonzero(prior.amplitudes)
-        pull = (self.found.z[0] - self.mean)[place][: prior.plain]
-        normal, slope = _eliminated(equations, pull, prior.plain + amplitudes)
+        P = self._count
+        amplitudes = np.flatnonzero(prior.amplitudes[:P])
+        free = np.delete(np.arange(prior.size), prior.plain + np.arange(P))
+        pull = (self.found.z[0] - self.mean)[place][free]
+        normal, slope = _eliminated(equations, pull, prior.plain + amplitudes, free=free)
         covariance = np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(slope)))
-        coordinates, deviations = z[0, prior.plain :].copy(), np.zeros(len(prior.amplitudes))
+        coordinates, deviations = z[0, prior.plain : prior.plain + P].copy(), np.zeros(P)
         coordinates[amplitudes] -= covariance @ slope[:, 0]
         deviations[amplitudes] = np.sqrt(np.diagonal(covariance))
-        return prior.effect_centers + prior.effect_scales * coordinates, prior.effect_scales * deviations
+        centers, scales = prior.effect_centers[:P], self.scales
+        return centers + scales * coordinates, scales * deviations
 
 
 def _agreed(said: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

@@ -335,7 +335,7 @@ class _Inquiry:
             kept = []
         remaining = {}
         if draws:
-            answer = kept[0].fit if kept else base
+            answer = self.fits[kept[0].name] if kept else base
             starts = {one.effect: one.start for one in first}
             with suppress(RolloutError, np.linalg.LinAlgError):
                 remaining = self.together.remaining(self.effects, [starts[e] for e in self.effects], answer)
@@ -421,7 +421,7 @@ class _Inquiry:
         }
         learned = []
         for k, ground in enumerate(self.grounds):
-            values, scales = self._told_by_others(fit, k)
+            values, scales = self._told_by_others(judged.fit, k)
             found = EffectsGiven(self.effects, values, scales, judged.held[k])
             dataset = with_locked(self.datasets[k], [o.trial for o in ground.locked])
             own = about(dataset.name, self.report)
@@ -474,12 +474,16 @@ class _Inquiry:
         return np.where(self._shared(fit.effects), fit.values(0), nulls)
 
     def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
-        """Errors on the locked pushes, with every object's maps refitted and the effects held."""
+        """Errors on the locked pushes, with every object's maps refitted and the effects held.
+
+        Effects are looked for under the α of the model without them; judged and reported is the refined fit.
+        """
+        fit = self.together.refined(fit, part_of(progress, 0, 2))
         after: list[LockedErrors | None] = []
         falls, held = [], []
         for k, ground in enumerate(self.grounds):
             free = ~self._shared(fit.effects) & ground.whole
-            stage = part_of(progress, k, len(self.grounds))
+            stage = part_of(part_of(progress, 1, 2), k, len(self.grounds))
             prior, z = ground.taught.holding(fit.effects, self._values(fit, k), free, stage)
             before, now = self.before[k], ground.judged(prior, z, self.seed)
             after.append(None if now is None else now[0])

@@ -13,6 +13,7 @@ import pytest
 from slipmap.models.effects import LIBRARY
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import beside_slope, effect_prior
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import fit, identify
@@ -145,21 +146,42 @@ def test_without_height_or_mass_nothing_is_said_of_load_transfer(recorded, missi
     assert not any("load_transfer" in name for name in found.friction_laws)
 
 
+SLOPE = {"down_x": 0.12, "down_y": -0.08}
+
+
+def on_a_slope(recorded, **options) -> PushDataset:  # type: ignore[no-untyped-def]
+    """Pushes where gravity and the finger act above a sloping table; neither mass nor height is stated."""
+    values = {"table_tilt": tuple(SLOPE.values()), "load_transfer": (0.01, 0.015)}
+    return replace(made_by(recorded, values=values, **options), height=None, mass=None)
+
+
 def test_a_slope_shifts_load_where_the_height_of_the_finger_is_stated(recorded) -> None:  # type: ignore[no-untyped-def]
-    """Gravity and the finger act above the table: without their heights the slope is sure and wrong."""
-    values = {"table_tilt": (0.12, -0.08), "load_transfer": (0.01, 0.015)}
-    level = replace(made_by(recorded, values=values), height=None, mass=None)
+    """Without the heights the slope is sure and wrong."""
+    level = on_a_slope(recorded)
     stated = fit(replace(level, finger_height=0.004), ["table_tilt"], hypotheses=20).effect_estimates
     unstated = fit(level, ["table_tilt"], hypotheses=20).effect_estimates
 
     def holds(slope) -> bool:  # type: ignore[no-untyped-def]
-        return all(
-            slope[key]["low"] <= true <= slope[key]["high"]
-            for key, true in zip(slope, (0.12, -0.08), strict=True)
-        )
+        return all(slope[key]["low"] <= true <= slope[key]["high"] for key, true in SLOPE.items())
 
     assert sorted(stated) == ["load_transfer", "table_tilt"] and holds(stated["table_tilt"])
     assert sorted(unstated) == ["table_tilt"] and not holds(unstated["table_tilt"])
+
+
+def test_two_datasets_on_a_slope_shift_load_like_one(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """And what the model without a slope leaves is no error of the model with it."""
+    both = on_a_slope(recorded, heldout=0)
+    monkeypatch.setattr("slipmap.models.inference.diagnosis.several.learn", lambda dataset, *rest, **more: 0)
+
+    def holds(height: float | None) -> bool:
+        parts = [
+            replace(both, trials=both.trials[k::2], name=f"half {k}", finger_height=height) for k in (0, 1)
+        ]
+        found = fit_together(parts, ["table_tilt"])
+        assert all([one.name for one in half.alone] == list(SLOPE) for half in found.datasets)
+        return all(one.low <= SLOPE[one.name] <= one.high for one in found.parameters)
+
+    assert holds(0.004) and not holds(None)
 
 
 def test_what_a_slope_brings_is_known_by_name(recorded) -> None:  # type: ignore[no-untyped-def]

@@ -17,6 +17,7 @@ from slipmap.models.inference.together import (
     Together,
     _eliminated,
     _fall,
+    _prior,
 )
 
 SETTINGS = PriorSettings(modes=5)
@@ -62,6 +63,19 @@ def test_coordinates_are_shared_as_effects_say(parts):
     first, second = (place[plain:] - 2 * plain for place in joint.places)
     assert list(first) == [0, 1, 4, 5] and list(second) == [2, 3, 4, 5]
     assert JointPrior(priors, (OWN, SHARED), ("table",)).size == 2 * plain + 2 * 2 + 2 * 2
+
+
+def test_what_a_slope_brings_is_each_datasets_own_and_comes_last(recorded):
+    low, high = (dataclasses.replace(recorded.dataset, finger_height=h) for h in (0.004, 0.02))
+    priors = [_prior(d, (SHARED,), 8.0, slopes=True) for d in (low, recorded.dataset, high)]
+    joint = JointPrior(priors, (SHARED,), ())
+    plain = priors[0].plain
+    assert joint.plain == 3 * plain and joint.size == 3 * plain + 2 + 2 + 2
+    own = [list(place[plain:] - 3 * plain) for place in joint.places]
+    assert own == [[0, 1, 2, 3], [0, 1], [0, 1, 4, 5]]
+    # A finger touches a little above its lower end.
+    assert joint.effect_centers == pytest.approx([0.0, 0.0, 0.009, 0.015, 0.025, 0.015])
+    assert joint.effect_scales == pytest.approx([0.03, 0.03, 0.005, 0.01, 0.005, 0.01])
 
 
 def test_costs_and_slopes_are_those_of_both_datasets(parts):
