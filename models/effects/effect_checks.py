@@ -52,7 +52,7 @@ def check_effect(effect: Effect, where: str) -> None:
     """
     try:
         check_declaration(effect)
-        slots = Slots([effect])
+        slots = Slots([effect], (real("downhill_x"), real("downhill_y")))  # of a slope that it may ask for
         _check_values(effect, slots)
         _check_slopes(effect, slots)
         _check_that_it_acts(effect, slots)

@@ -36,6 +36,10 @@ from slipmap.models.effects.symbols import (
 class Slots:
     """The combined changes of several effects, as SymPy expressions.
 
+    Args:
+        effects: the effects.
+        slope: (2,) acceleration by which gravity pulls along the table for effects besides these, world.
+
     Attributes:
         parameters: symbols of all parameters.
         memory: symbols carried from step to step: none, or the last force and the effects' own.
@@ -51,7 +55,7 @@ class Slots:
         force_delay: s.
     """
 
-    def __init__(self, effects: Sequence[Effect]) -> None:
+    def __init__(self, effects: Sequence[Effect], slope: Sequence[Any] = (0, 0)) -> None:
         one, zero = sp.Integer(1), sp.Integer(0)
         force = [real(name) for name in FORCE_NAMES]
         pose, push = [real(name) for name in POSE_SYMBOLS], [real(name) for name in PUSH_SYMBOLS]
@@ -66,6 +70,7 @@ class Slots:
         known = body_names({})
         pull = force_at_mass_center(Names("body", known), *(known["mass"] * part for part in downhill))
         wrench = [*_turned(known, *pull[:2]), pull[2]]
+        downhill = [own + other for own, other in zip(downhill, slope, strict=True)]
         for e in effects:
             ask = partial(_ask, e)
             p, memory = _parameters(e), _memory(e)
@@ -122,7 +127,7 @@ class Slots:
         inertia_symbols = [real(name) for name in INERTIA_NAMES]
         self.y = [*(real(name) for name in STATE_NAMES), *self.memory, *inertia_symbols, *self.parameters]
         given = (*CONSTANT_NAMES, "r_x", "r_y", *AFTER_SYMBOLS)
-        strangers = asked - {*self.y, *pose, *push, *map(real, given)}
+        strangers = asked - {*self.y, *pose, *push, *slope, *map(real, given)}
         if strangers:
             names = ", ".join(e.name for e in effects)
             raise EffectError(
