@@ -42,6 +42,23 @@ def shares_of(progress: StageProgress, parts: int) -> list[StageProgress]:
 _spare: list[threading.Semaphore] = []  # one, of the threads that may still start, from the first use on
 
 
+class Unwanted(BaseException):
+    """The task of a thread whose caller was interrupted."""
+
+
+_helping = threading.local()  # `wanted()`: whether its caller still waits for this thread's task
+
+
+def go_on() -> None:
+    """End this thread's task if nobody waits for it any more; long tasks call it now and then.
+
+    Raises:
+        Unwanted: the caller of `side_by_side` was interrupted, as by Ctrl-C in a notebook.
+    """
+    if not getattr(_helping, "wanted", lambda: True)():
+        raise Unwanted
+
+
 def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     """Results of independent tasks, run on this thread and on others, altogether as many as there are cores.
 
@@ -61,7 +78,7 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     results: list[Any] = [None] * len(tasks)
     errors: dict[int, BaseException] = {}
     numbers, lock = iter(range(len(tasks))), threading.Lock()
-    stopped = False
+    stopped, outer = False, getattr(_helping, "wanted", lambda: True)
 
     def work() -> None:
         while not stopped and not errors:
@@ -77,6 +94,7 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
                     raise
 
     def help_out() -> None:
+        _helping.wanted = lambda: not stopped and outer()
         with suppress(BaseException):  # this thread's caller raises it
             work()
         _spare[0].release()

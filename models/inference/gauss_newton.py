@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.inference.likelihood import NormalEquations, PushCosts
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.progress import StageProgress, part_of
+from slipmap.models.progress import StageProgress, go_on, part_of
 
 _EQUATIONS = 2**29
 """Most bytes for the normal equations of hypotheses fitted together; the pushes' starts take most of them."""
@@ -71,6 +71,10 @@ def fit(
         worth: cost above which a fit is useless. A hypothesis that can hardly reach it, or the best of the
             others, is given up where it is. If None, all are followed to the end.
         progress: called with (iteration, iterations).
+
+    Raises:
+        RolloutError: the start cannot be computed.
+        Unwanted: nobody waits for the fit any more; see `go_on`.
     """
     K, B = len(start), len(likelihood.observations)
     weights = np.ones((K, B)) if weights is None else weights
@@ -101,6 +105,7 @@ def fit(
     equations = likelihood.linearise(z, shift, strength, weights)
     cost = total(equations.cost, z, active)
     for done in range(1, iterations + 1):
+        go_on()
         step = np.zeros_like(z)
         for k in active:
             step[k] = _damped_step(equations, int(k), z[k] - mean[k], damping[k])

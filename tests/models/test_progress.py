@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from slipmap.models import progress
-from slipmap.models.progress import shares_of, side_by_side
+from slipmap.models.progress import go_on, shares_of, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +56,31 @@ def test_a_task_that_ends_its_thread_is_an_error_too() -> None:
 
         with pytest.raises(SystemExit):
             side_by_side([task, task])
+
+
+def test_an_interruption_ends_the_tasks_of_all_threads() -> None:
+    """Those too that another thread waits for."""
+    begun, threads = threading.Barrier(3), []
+
+    def inner() -> None:
+        begun.wait(30)
+        while threading.current_thread() is not threads[0]:
+            go_on()
+
+    def outer() -> None:
+        if threading.current_thread() is threading.main_thread():
+            begun.wait(30)
+            threads.extend(set(threading.enumerate()) - before - {threads[0]})
+            raise KeyboardInterrupt
+        threads.append(threading.current_thread())
+        side_by_side([inner, inner])
+
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side([outer, outer])
+    for thread in threads:
+        thread.join(30)
+    assert len(threads) == 2 and not any(thread.is_alive() for thread in threads)
 
 
 def test_tasks_within_tasks_start_no_more_threads_than_there_are_cores() -> None:

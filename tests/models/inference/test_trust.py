@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from slipmap.models import progress
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.hypotheses import MODEL_ERRORS, fit_with_trust, log_evidence, trusting
 from slipmap.models.inference.identification import identify
@@ -77,6 +78,13 @@ def test_evidence_is_the_density_of_the_data_where_everything_is_linear():
         exact = multivariate_normal(np.zeros(B * R), covariance).logpdf(measured.ravel())
         ours = log_evidence(cast(Likelihood, linear), best) - 0.5 * B * R * np.log(2.0 * np.pi)
         assert ours == pytest.approx(exact, abs=1e-6)
+
+
+def test_a_fit_that_nobody_waits_for_ends(monkeypatch):
+    linear = LinearPushes(np.ones((1, 1, 1)), np.ones((1, 1, 3)), np.ones((1, 1)), 0.1, np.ones(3))
+    monkeypatch.setattr(progress._helping, "wanted", lambda: False, raising=False)
+    with pytest.raises(progress.Unwanted):
+        fit(linear, np.zeros((1, 1)))
 
 
 def ladder_of(dataset):
