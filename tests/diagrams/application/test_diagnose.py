@@ -76,6 +76,15 @@ def test_compare_with_an_effect_shows_before_and_after(slipmap, tilted_folder, t
     assert json.loads(Page(html.read_text()).scripts[0][1])["pushes"]["labels"][1] == "with table_tilt"
 
 
+def test_fit_weighs_the_effect_that_was_named_and_not_what_a_slope_brings(slipmap, tmp_path):
+    few = tilted_pushes()
+    folder = write_dataset(replace(few, trials=few.trials[:3], finger_height=0.004), tmp_path / "few")
+    options = ("--effect", "table_tilt", "-o", tmp_path / "b.npz", "--hypotheses", 2)
+    said = " ".join(slipmap("fit", folder, *options).out.split())
+    assert "load_transfer is estimated together with the tilt" in said
+    assert "without table_tilt, " in said and "times that without table_tilt (" in said
+
+
 @pytest.mark.parametrize("command", ["fit", "compare"])
 def test_a_slip_of_the_pen_in_a_name(slipmap, tilted_folder, tmp_path, command):
     output = tmp_path / ENDINGS.get(command, "out.html")

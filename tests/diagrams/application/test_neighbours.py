@@ -17,7 +17,7 @@ import pytest
 from test_command_line import ENVIRONMENT, files_in, hear_ctrl_c
 
 from slipmap.diagrams.application import terminal
-from slipmap.diagrams.application.commands import record
+from slipmap.diagrams.application.commands import record, studies
 from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
@@ -375,6 +375,26 @@ if __name__ == "__main__":
     print("there", flush=True)
     time.sleep(600)
 """
+
+
+def test_workers_end_where_ctrl_c_comes_before_all_have_their_datasets(tmp_path, monkeypatch):
+    ended = []
+
+    class Pool:
+        def __init__(self, *workers, **options):
+            pass
+
+        def submit(self, *task):
+            raise KeyboardInterrupt
+
+        def shutdown(self, **options):
+            ended.append(options)
+
+    monkeypatch.setattr(studies, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(studies, "_stop_workers", ended.append)
+    with pytest.raises(KeyboardInterrupt):
+        list(studies._run_all([studies._Case(tmp_path, seed) for seed in (1, 2)], 2))
+    assert ended == [{"wait": False, "cancel_futures": True}, tmp_path]
 
 
 def test_a_busy_child_of_a_killed_process_ends(tmp_path):

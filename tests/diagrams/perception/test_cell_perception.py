@@ -9,11 +9,13 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
+from slipmap.diagrams.perception import cell_perception
 from slipmap.diagrams.perception.camera import add_camera
 from slipmap.diagrams.perception.cell_perception import FRAMES, CellPerception
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.models.perception.object_mask import draw_hulls
 from slipmap.models.perception.pose_tracking import track
+from slipmap.models.perception.seen_object import ObservedPose, Rests
 
 PERIOD = 1 / 15
 
@@ -69,6 +71,18 @@ def test_each_new_place_improves_the_outline_and_nothing_else(world):
     first = world.output(context, "first_picture")
     again = first.grid(world.config.intrinsics, rests)  # as another process finds it
     assert np.array_equal(again.exterior, grid.exterior)
+
+
+@pytest.mark.parametrize(("places", "counted"), [(2, 0), (3, 1)])
+def test_no_more_places_are_looked_at_than_wanted(monkeypatch, places, counted):
+    offsets = np.zeros(20)
+    monkeypatch.setattr(cell_perception, "outline_offsets", lambda *seen: offsets)
+    memory = cell_perception._Memory(
+        ObservedPose.of((0.1, 0.0, 0.0)), seen=object(), last_pose=np.array([0.1, 0.0, 0.0]),
+        rests=Rests((offsets, offsets), np.zeros(3)),
+    )  # fmt: skip
+    after = cell_perception._Eye(None, 40, 1.0, places)._outlined(memory, None, None, None)
+    assert len(after.rests.looks) == counted and (after is memory) == (counted == 0)
 
 
 def test_a_pose_is_known_half_a_picture_after_the_picture(world):

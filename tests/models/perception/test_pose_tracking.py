@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.perception import edge_kernels
-from slipmap.models.perception.first_look import first_look
+from slipmap.models.perception.first_look import _angle_shown, _standing_object, first_look
 from slipmap.models.perception.object_mask import HeightPicture
 from slipmap.models.perception.pinhole_camera import pixel_size
 from slipmap.models.perception.pose_tracking import load_kernels, track
@@ -229,6 +229,14 @@ def test_the_angle_of_a_round_object_is_held(scene, look, radius):
         np.testing.assert_allclose(observed.pose[:2] - seen.first_pose[:2], pose[:2], atol=1e-3)
         assert observed.covariance[2, 2] >= 1.0 and np.linalg.eigvalsh(observed.covariance).min() > 0
         last = observed.pose
+
+
+def test_the_angle_of_what_is_not_seen_is_not_held(scene):
+    """A picture in which no reading is left cannot show that the object is round."""
+    depth = scene.depth(strips(0.03), (0.0, 0.0, 0.3))
+    table, raw, heights, mask = _standing_object(depth, scene.view, None)
+    assert not _angle_shown(mask, raw, heights, table, scene.view)
+    assert _angle_shown(mask, raw, np.full_like(heights, np.nan), table, scene.view)
 
 
 # Surfaces of round objects from above and from below: radii and heights, m.

@@ -191,6 +191,30 @@ def test_an_answer_that_no_push_judges_says_so(recorded):
     assert "no pushes were locked away that could judge it" in found.sentence
 
 
+@pytest.mark.parametrize("broken", [False, True])
+def test_what_is_in_no_answer_gets_bounds_unless_they_cannot_be_computed(pair, monkeypatch, broken):
+    """Of two rivals neither is bounded beside the other."""
+    own, rivals = several._Inquiry._judge, ("sensor_latency", "tracker_scale")
+
+    def judge(self, fit, evidence, progress):
+        score = 100.0 if fit.effects[0].name in rivals else 0.0
+        return dataclasses.replace(own(self, fit, evidence, progress), falls=[9.0, 9.0], score=score)
+
+    def remaining(self, effects, starts, answer):
+        raise RolloutError("broken")
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    monkeypatch.setattr(several._Inquiry, "_there", lambda self, one: True)
+    monkeypatch.setattr(several, "EVIDENCE", -np.inf)
+    if broken:
+        monkeypatch.setattr(several.Together, "remaining", remaining)
+    found = diagnose_together(pair, effects=EFFECTS, draws=3)
+    assert found.verdict == "ambiguous" and sorted(found.effects) == list(rivals)
+    bounds = {one.name: [bound.name for bound in one.bounds] for one in found.candidates}
+    beside = [] if broken else ["along_x", "along_xy"]
+    assert bounds == {"sensor_latency": [], "tracker_scale": [], "anisotropic_table": beside}
+
+
 def test_a_negative_number_of_draws_is_refused(recorded):
     pair = [dataclasses.replace(recorded.dataset, name=name) for name in ("first", "second")]
     with pytest.raises(ValueError, match="must not be negative"):
