@@ -26,10 +26,10 @@ class Push:
         pose_times: (S,) ascending times from the start at which poses are wanted, s; by default the ends of
             the steps.
         force_times: (T,) the same for the contact force, which is a mean over `force_span` around that time.
-        force_span: s; the mean is over the steps whose middles lie within it, at least over the step around
-            the time.
         wrench: (N, 5) applied force (world, N), its point (object frame, m) and a torque (N m), or None.
         order: index of the push in the experiment, from 0, for effects that change from push to push.
+        force_span: s; a force is the mean over the steps whose middles lie within it, at least over the step
+            around its time.
 
     Raises:
         ValueError: shapes do not match, the step is not positive, the span of forces is negative, or times
@@ -50,9 +50,9 @@ class Push:
     start_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     pose_times: FloatArray | None = None
     force_times: FloatArray = field(default_factory=lambda: np.zeros(0))
-    force_span: float = 0.0
     wrench: FloatArray | None = None
     order: float = 0.0
+    force_span: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.h) and self.h > 0):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from scipy.signal import savgol_filter
 
-from slipmap.models.measurements.motion import _local_quadratics
+from slipmap.models.measurements.motion import _least_squares
 
 
-@pytest.mark.parametrize("rows", [5, 21, 81])
-def test_local_quadratics_are_those_of_savitzky_and_golay(rows: int) -> None:
-    track = np.cumsum(np.random.default_rng(rows).normal(size=(81, 2)), axis=0)
-    expected = savgol_filter(track, rows, 2, axis=0, mode="interp")
-    np.testing.assert_allclose(_local_quadratics(track, rows), expected, atol=1e-10)
+def test_the_banded_solution_is_that_of_the_full_equations() -> None:
+    rng = np.random.default_rng(0)
+    rows, counts, weight = rng.normal(size=(30, 2)), rng.uniform(0.1, 1.0, 30), rng.uniform(0.0, 50.0, 27)
+    third = np.diff(np.eye(30), 3, axis=0)
+    expected = np.linalg.solve(np.diag(counts) + third.T @ np.diag(weight) @ third, counts[:, None] * rows)
+    np.testing.assert_allclose(_least_squares(rows, counts, weight), expected, atol=1e-12)
