@@ -11,7 +11,7 @@ import sys
 import textwrap
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
@@ -60,12 +60,12 @@ def status(text: str) -> None:
 
 
 @contextmanager
-def warnings_noted() -> Iterator[None]:
-    """Print what the block warns of, each warning as a line on stderr."""
+def warnings_noted(worded: Callable[[str], str] = str) -> Iterator[None]:
+    """Print what the block warns of, each warning, as `worded`, as a line on stderr."""
     with warnings.catch_warnings(record=True) as found:
         yield
     for text in dict.fromkeys(str(one.message) for one in found if one.category is UserWarning):
-        note(f"warning: {text}")
+        note(f"warning: {worded(text)}")
 
 
 def wait_for_enter() -> None:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
@@ -33,6 +34,8 @@ _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
 _SAVE_ANEW = "save it again as a greyscale PNG"
 _SPECK = 0.01  # of the object's area
 _MOST_BORDER = 0.5  # of the picture's border; only a background covers more of it
+_MOST_STRAY = 0.5  # of the object's edge may have labels without an area of their own,
+_STRAY_LABELS = 8  # if the object has more of these: they are no labels, but the greys of a soft edge
 # Keeps depth and channels, but applies the camera's orientation, which OpenCV does for TIFF files anyway.
 _AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
@@ -71,7 +74,8 @@ def cells_from_label_image(
     Raises:
         ValueError: the file cannot be read; the image is not one channel of integers; the scale is not
             positive or makes the object wider than 5 m or narrower than 1 mm; there is no object, or it is in
-            separate pieces or covers most of the picture's border; or count or width is wrong.
+            separate pieces, covers most of the picture's border or has a soft edge; or count or width is
+            wrong.
 
     Example:
         >>> import numpy as np
@@ -149,7 +153,24 @@ def _largest_piece(labels: IntArray, source: str, background: int) -> Mask:
             f"piece (pixels that touch only at a corner are not connected): join the pieces or set all but "
             f"one to {background}"
         )
-    return piece == kept + 1
+    mask = piece == kept + 1
+    if (greys := _soft_edge(labels, mask)) > 0:
+        raise ValueError(
+            f"{source}: the object's edge is made of {greys} values without an area of their own, as in a"
+            f" soft mask or a photograph; give its pixels one value (one for each segment), all others"
+            f" {background}"
+        )
+    return mask
+
+
+def _soft_edge(labels: IntArray, mask: Mask) -> int:
+    """Number of labels of an object that fill no 2 by 2 pixels, if its edge is lined by them, else 0."""
+    uniform = mask & (minimum_filter(labels, 2) == maximum_filter(labels, 2))
+    stray = mask & ~maximum_filter(uniform, 2, origin=-1)
+    inside = minimum_filter(mask, footprint=generate_binary_structure(2, 1), mode="constant")
+    edge = mask & ~inside
+    greys = len(np.unique(labels[stray]))
+    return greys if greys > _STRAY_LABELS and (stray & edge).sum() > _MOST_STRAY * edge.sum() else 0
 
 
 def openings(labels: NDArray[np.integer], background: int = 0) -> int:

@@ -12,8 +12,9 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
@@ -50,6 +51,10 @@ _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
 _FINEST = 1e-5  # of the silhouette's extent; a point nearer to the line between corners is not a corner
 _SPECK = 1e-5  # of the silhouette's area
+_PARALLEL = 1.0 - 1e-6  # cosine between the normals of triangles in one plane,
+_LEVEL = 3e-5  # of the mesh's size, the distance of their corners from it
+_MOST_FOLDED = 100  # planes with triangles that lie on each other; a mesh with more is a scan,
+_LARGEST_FOLDED = 200_000  # as is one with more triangles
 _CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle form a visible edge
 _ROUND_STEPS = 6
 _MOST_COLOURS = 16
@@ -91,17 +96,12 @@ def cells_from_mesh(
         (15, 0.02)
     """
     loaded, source = _loaded(mesh)
-    unit = _unit(loaded, metres_per_unit, source)
-    if up is None:
-        up = DIRECTIONS["z" if isinstance(mesh, trimesh.Trimesh) else up_axis(mesh)]
-    flat = (np.asarray(loaded.vertices, dtype=float) * unit @ _turn_to_z(up).T)[:, :2]
-    extent = float(np.ptp(flat, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        limit = "more than 5 m" if extent > LARGEST_EXTENT else "less than 1 mm"
-        raise ValueError(
-            f"{source}: the footprint measures {extent:.4g} m, {limit}; {unit_advice(extent, unit)}"
-        )
-    polygon = _silhouette(flat[np.asarray(loaded.faces)], extent, bool(loaded.is_volume), source)
+    in_file = not isinstance(mesh, trimesh.Trimesh)
+    vertices, extent, unit = _upright(loaded, source, up_axis(mesh) if in_file else "z", up, metres_per_unit)
+    if in_file and extent > DOUBTFUL_EXTENT:
+        advice = unit_advice(extent, unit)
+        warnings.warn(f"{source}: is {extent:.3g} m wide; if that is wrong, {advice}", stacklevel=2)
+    polygon = _silhouette(vertices[loaded.faces, :2], extent, bool(loaded.is_volume), source)
     rings = rings_of(without_small_holes(polygon, _SPECK * polygon.area))
     return cells_from_polygon(*rings, count=count, width=width)
 
@@ -148,41 +148,138 @@ def upright_mesh(
     """The mesh of a file in m, turned like its cells and resting on z = 0; arguments as in `cells_from_mesh`.
 
     Raises:
-        ValueError: the file cannot be read, or up or the unit is wrong.
+        ValueError: the file cannot be read, up or the unit is wrong, or the footprint is wider than 5 m or
+            narrower than 1 mm.
     """
     loaded, source = _loaded(path)
     mesh = loaded.copy()
-    turn = _turn_to_z(DIRECTIONS[up_axis(path)] if up is None else up)
-    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ turn.T
+    vertices, _, _ = _upright(loaded, source, up_axis(path), up, metres_per_unit)
     mesh.vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
     mesh.units = "meters"
     return mesh
 
 
+def _upright(
+    mesh: trimesh.Trimesh, source: str, axis: str, up: ArrayLike | None, metres_per_unit: float | None
+) -> tuple[FloatArray, float, float]:
+    """Vertices (v, 3) with `up`, or else `axis`, turned to z, the footprint's larger side, and the unit, m.
+
+    Raises:
+        ValueError: up or the unit is wrong, or the side is out of range.
+    """
+    unit = _unit(mesh, metres_per_unit, source)
+    turn = _turn_to_z(DIRECTIONS[axis] if up is None else up)
+    vertices = np.asarray(mesh.vertices, dtype=float) * unit @ turn.T
+    extent = float(np.ptp(vertices[:, :2], axis=0).max())
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        limit = "more than 5 m" if extent > LARGEST_EXTENT else "less than 1 mm"
+        raise ValueError(
+            f"{source}: the footprint measures {extent:.4g} m, {limit}; {unit_advice(extent, unit)}"
+        )
+    return vertices, extent, unit
+
+
 def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimesh, str]:
     source = "mesh"
     if isinstance(mesh, str | PathLike):
-        source = f"mesh {Path(mesh)}"
-        if Path(mesh).suffix.lower() in _LINKS:
+        path = Path(mesh)
+        source = f"mesh {path}"
+        if path.suffix.lower() in _LINKS:
             try:
-                return _linked(Path(mesh)), source
+                return _linked(path), source
             except (UnreadableFile, ValueError) as error:
                 raise ValueError(f"{source}: {error}") from error
         try:
-            check_file(Path(mesh), _LARGEST_FILE)
+            check_file(path, _LARGEST_FILE)
             logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # the error below says what is wrong
             # A texture does not affect how the object slides, and may be large.
-            mesh = trimesh.load_mesh(str(mesh), skip_materials=True)
+            mesh = trimesh.load_mesh(str(path), skip_materials=True, process=False)
+            if isinstance(mesh, trimesh.Trimesh) and np.isfinite(mesh.vertices).all():
+                mesh.process()  # of a mesh with NaN, it would leave out triangles without a word
+                mesh = _unfolded(mesh)
         except UnreadableFile as error:
             raise ValueError(f"{source}: {error}") from error
         except Exception as error:  # trimesh's readers raise whatever their parsers raise
-            raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, Path(mesh))}") from error
+            raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, path)}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ValueError(f"{source}: has no triangles; export the object's surface as .stl, .obj or .ply")
+        raise ValueError(
+            f"{source}: has no triangles, or is cut short; export the object's surface as .stl, .obj or .ply"
+        )
     if not np.all(np.isfinite(mesh.vertices)):
         row = int(np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))[0])
-        raise ValueError(f"{source}: vertex {row} is not finite")
+        raise ValueError(f"{source}: vertex {row} is not finite; export the mesh again")
     return mesh, source
+
+
+def _unfolded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its concave faces cut anew.
+
+    Readers cut a face of many corners into a fan of triangles. If it is concave, some of these lie outside
+    it, folded over others, and would widen the silhouette.
+    """
+    if len(mesh.faces) > _LARGEST_FOLDED:
+        return mesh
+    normals, vertices, faces = mesh.face_normals, mesh.vertices, mesh.faces
+    whole, added = np.ones(len(faces), dtype=bool), list[FloatArray]()
+    for face in _folds(mesh):
+        if not whole[face]:
+            continue
+        if len(added) == _MOST_FOLDED:  # the creases of a scan
+            return mesh
+        basis = _turn_to_z(normals[face])
+        flat = (vertices - vertices[faces[face, 0]]) @ basis.T
+        level = (np.abs(flat[:, 2]) < _LEVEL * mesh.scale)[faces].all(axis=1) & whole
+        whole &= ~level
+        cut = _net_area(faces[level], flat[:, :2])
+        raised = np.concatenate([cut, np.zeros((*cut.shape[:2], 1))], axis=2)
+        added.append(raised @ basis + vertices[faces[face, 0]])
+    if sum(map(len, added)) == 0:
+        return mesh
+    corners = np.concatenate([vertices[faces[whole]], *added]).reshape(-1, 3)
+    result = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    if mesh.units is not None:
+        result.units = mesh.units
+    return result
+
+
+def _folds(mesh: trimesh.Trimesh) -> list[int]:
+    """Faces that lie in the plane of another with the opposite normal, to which flat or thin ones lead."""
+    normals, near = mesh.face_normals, _LEVEL * mesh.scale
+    offsets = np.sum(normals * mesh.vertices[mesh.faces[:, 0]], axis=1)
+    one, other = mesh.face_adjacency.T
+    flat = np.abs(np.sum(normals[one] * normals[other], axis=1)) > _PARALLEL
+    longest = mesh.edges_unique_length[mesh.faces_unique_edges].max(axis=1)
+    thin = ~normals.any(axis=1) | (2 * mesh.area_faces < near * longest)
+    leads = flat | thin[one] | thin[other]
+    graph = csr_array((np.ones(leads.sum()), (one[leads], other[leads])), shape=(len(normals),) * 2)
+    planes = np.column_stack([connected_components(graph, directed=False)[1], normals, offsets / mesh.scale])
+    _, first = np.unique(np.round(planes[~thin], 6), axis=0, return_index=True)
+    first = np.flatnonzero(~thin)[first]
+    found = []
+    for group in np.split(first, np.flatnonzero(np.diff(planes[first, 0])) + 1):
+        if len(group) > 10 * _MOST_FOLDED:
+            continue
+        opposite = normals[group] @ normals[group].T < -_PARALLEL
+        level = np.abs(offsets[group][:, None] + offsets[group]) < near
+        found += group[(opposite & level).any(axis=1)].tolist()
+    return found
+
+
+def _net_area(faces: NDArray[np.integer], points: FloatArray) -> FloatArray:
+    """(t, 3, 2) triangles of what faces (f, 3) in a plane cover more often one way than the other."""
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, place = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    net = np.bincount(place.ravel(), np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
+    lines = shapely.union_all(shapely.linestrings(points[edges[net != 0]]))
+    corners = points[faces]
+    sides = np.roll(corners, -1, axis=1) - corners
+    found = [np.zeros((0, 3, 2))]
+    for region in shapely.get_parts(shapely.polygonize(shapely.get_parts(lines))):
+        inside = cross(sides, shapely.get_coordinates(region.representative_point()) - corners)
+        times = (inside > 0).all(axis=1).sum() - (inside < 0).all(axis=1).sum()
+        if times != 0:
+            found.append(_triangles(region)[:, :: 1 if times > 0 else -1])
+    return np.concatenate(found)
 
 
 # Links of URDF and SDF files.
@@ -291,6 +388,8 @@ def _beside(path: Path, name: str) -> Path:
 
 def _told(error: Exception, path: Path) -> str:
     """Readable text for the error of a failed reader."""
+    if isinstance(error, FileNotFoundError):
+        return f"it needs the file {error}, which is missing; put it into the same folder, or export as .glb"
     if not isinstance(error, ImportError):
         said = " ".join(str(error).split())
         said = said if len(said) <= 200 else f"{said[:197]}..."

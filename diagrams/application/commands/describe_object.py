@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _PICTURES = (".png", ".bmp", ".tif", ".tiff", ".pgm")
+_OTHER_PICTURES = (".jpg", ".jpeg", ".gif", ".webp", ".heic", ".ppm")
 
 
 def _positive(name: str, unit: str, about: str, *, required: bool = False) -> Option:
@@ -68,6 +69,8 @@ def describe_object(
 
     from slipmap.models.measurements.setup_description import parse_setup
 
+    if file.suffix.lower() in _OTHER_PICTURES:
+        raise BadInput(f"{file}: pictures are read as {', '.join(_PICTURES)}; save it as a greyscale PNG")
     if file.suffix.lower() in _PICTURES:
         if metres_per_pixel is None or metres_per_unit is not None or up is not None:
             raise BadInput(f"{file} is a picture: give --metres-per-pixel, but not --metres-per-unit or --up")
@@ -94,7 +97,8 @@ def describe_object(
 def size_in_words(grid: CellGrid) -> str:
     """Width and depth of an object, and the number of its openings."""
     low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
-    size, holes = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low), len(grid.holes)
+    size = " by ".join(f"{1e3 * side:.{int(side < 0.01)}f} mm" for side in high - low)
+    holes = len(grid.holes)
     return f"{size} with {holes} opening{'s' * (holes > 1)}" if holes else size
 
 
@@ -105,7 +109,7 @@ def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) 
     try:
         grid, _ = cells_from_label_image(str(file), metres_per_pixel, count=cells, background=background)
     except ValueError as error:
-        raise BadInput(str(error).replace("background=", "--background ")) from error
+        raise BadInput(_with_options(str(error))) from error
     closed = openings(read_picture(file), background) - len(grid.holes)
     if closed:
         note(f"openings closed as noise, each of less than 1 % of the object's area: {closed}")
@@ -125,19 +129,18 @@ def _modelled(
     try:
         axis = up or meshes.up_axis(file)
         direction = meshes.DIRECTIONS[axis]
-        with warnings_noted():
+        with warnings_noted(_with_options):
             grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
         height = float(meshes.upright_mesh(file, direction, metres_per_unit).bounds[1, 2])
     except ValueError as error:
-        raise BadInput(str(error).replace("metres_per_unit=", "--metres-per-unit ")) from error
-    extent = float((grid.exterior.max(axis=0) - grid.exterior.min(axis=0)).max())
-    if extent > meshes.DOUBTFUL_EXTENT:
-        advice = meshes.unit_advice(extent, metres_per_unit or 1.0).replace(
-            "metres_per_unit=", "--metres-per-unit "
-        )
-        note(f"warning: {printable(str(file))} is {extent:.3g} m wide; if that is wrong, {advice}")
+        raise BadInput(_with_options(str(error))) from error
     standing = f", {1e3 * height:.3g} mm high with {axis} up"
     return {**_footprint(grid), **({"height": round(height, 7)} if height > 0 else {})}, standing
+
+
+def _with_options(text: str) -> str:
+    """A text about arguments in Python, about options of the command."""
+    return text.replace("metres_per_unit=", "--metres-per-unit ").replace("background=", "--background ")
 
 
 def _footprint(grid: CellGrid) -> dict[str, Any]:

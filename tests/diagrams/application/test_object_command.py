@@ -88,7 +88,10 @@ def test_a_small_opening_is_not_closed_without_a_word(slipmap, tmp_path):
 def test_an_axis_and_a_large_object_are_asked_about(slipmap, tmp_path, bracket):
     _, said = described(slipmap, tmp_path, bracket, "--metres-per-unit", 0.01, "--up", "y")
     assert said.out.startswith("bracket: 1200 mm by 200 mm, 800 mm high with y up")
-    assert "is 1.2 m wide; if that is wrong" in said.err and "0.001 (mm) gives 120 mm" in said.err
+    assert "is 1.2 m wide; if that is wrong" in said.err
+    assert "--metres-per-unit 0.001 (mm) gives 120 mm" in said.err
+    trimesh.creation.box((0.15, 0.0055, 0.02)).export(tmp_path / "rod.stl")
+    assert "rod: 150 mm by 5.5 mm, 20 mm high" in described(slipmap, tmp_path, tmp_path / "rod.stl")[1].out
 
 
 def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
@@ -102,4 +105,5 @@ def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
     (tmp_path / "a.png").write_bytes(b"")
     assert_refused(slipmap("object", tmp_path / "a.png", *output), "a.png", "give --metres-per-pixel")
     assert_refused(slipmap("object", tmp_path / "no.stl", *output), "no.stl", "no such file")
+    assert_refused(slipmap("object", tmp_path / "a.jpg", *output), "a.jpg: pictures are read as .png")
     assert files_in(tmp_path) == ["a.png", "bracket.stl"]

@@ -249,6 +249,24 @@ def test_wrong_input_is_refused(labels, scale, message):
         cells_from_label_image(labels, scale, count=4)
 
 
+def test_the_greys_of_a_soft_edge_are_no_labels():
+    sharp = np.uint8(50) * (l_picture() > 0)
+    big = np.asarray(cv2.resize(sharp, (1200, 800), interpolation=cv2.INTER_NEAREST))
+    slanted = cv2.warpAffine(big, cv2.getRotationMatrix2D((600.0, 400.0), 20.0, 0.7), (1200, 800))
+    drawn = cv2.resize(slanted, (300, 200), interpolation=cv2.INTER_AREA)
+    for soft in (cv2.GaussianBlur(sharp, (9, 9), 3), drawn):
+        with pytest.raises(ValueError, match=r"edge is made of \d+ values .*; give its pixels one value"):
+            cells_from_label_image(soft, SCALE, count=40)
+    assert len(cells_from_label_image(sharp, SCALE, count=40)[0]) == 40
+
+
+def test_many_thin_segments_are_labels():
+    labels = np.zeros((80, 100), dtype=np.uint8)
+    labels[20:60, 20:80] = 1 + np.arange(60) // 2  # stripes of two pixels
+    _, segment = cells_from_label_image(labels, SCALE, width=2 * SCALE)
+    assert len(set(segment)) == 30
+
+
 def test_wrong_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"missing\.png: there is no such file"):
         cells_from_label_image(tmp_path / "missing.png", SCALE, count=4)

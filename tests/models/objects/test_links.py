@@ -88,7 +88,7 @@ def test_an_empty_pose_is_none_and_a_submesh_is_refused(package, text):
     shape = f"<visual name='a'>{text if pose else ''}<geometry>{mesh}</geometry></visual>"
     path = written(package, f"<sdf><model><link name='a'>{shape}</link></model></sdf>", "a.sdf")
     if pose:
-        assert upright_mesh(path).extents == pytest.approx([80, 30, 40])
+        assert upright_mesh(path, metres_per_unit=0.001).extents == pytest.approx([0.08, 0.03, 0.04])
     else:
         with pytest.raises(ValueError, match="a submesh is not read"):
             upright_mesh(path)

@@ -3,12 +3,14 @@
 import importlib.util
 import re
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 
 from slipmap.models.objects import cells_from_mesh
@@ -21,6 +23,7 @@ from slipmap.models.objects.meshes import (
     up_axis,
     upright_mesh,
 )
+from slipmap.models.objects.true_object import object_from_mesh
 
 
 def box(*size, at=(0, 0, 0)):
@@ -266,6 +269,78 @@ def test_wrong_files_are_refused(tmp_path):
         path.write_text(content)
         with pytest.raises(ValueError, match=name):
             cells_from_mesh(path, count=4)
+
+
+def bracket_of_faces(path, first, turn):
+    """A C of 90 by 100 mm, 30 mm high, whose top and bottom are one face each; some corners in a line."""
+    ring = np.roll(
+        [[30, 30], [90, 30], [90, 0], [40, 0], [0, 0], [0, 100], [90, 100], [90, 70], [30, 70]], first, axis=0
+    )
+    n = len(ring)
+    points = np.column_stack([np.tile(1e-3 * ring, (2, 1)), np.repeat([0.0, 0.03], n)]) @ turn.T
+    faces = [range(n)[::-1], range(n, 2 * n), *((k, (k + 1) % n, (k + 1) % n + n, k + n) for k in range(n))]
+    if path.suffix == ".obj":
+        lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points]
+        lines += ["f " + " ".join(str(k + 1) for k in face) for face in faces]
+    else:
+        lines = [
+            "ply",
+            "format ascii 1.0",
+            f"element vertex {2 * n}",
+            *(f"property float {a}" for a in "xyz"),
+        ]
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+        lines += [f"{x} {y} {z}" for x, y, z in points]
+        lines += [f"{len(face)} " + " ".join(map(str, face)) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+@pytest.mark.parametrize("first", range(9))
+def test_concave_faces_of_many_corners(tmp_path, kind, first):
+    """Readers cut them into triangles that lie outside them."""
+    path, turn = tmp_path / f"bracket.{kind}", Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix()
+    for turned_by in (np.eye(3), turn):
+        bracket_of_faces(path, first, turned_by)
+        polygon = cells_from_mesh(path, count=60, up=turned_by[:, 2]).polygon
+        assert polygon.area == pytest.approx(0.09 * 0.1 - 0.06 * 0.04, rel=2e-4)
+        assert polygon.convex_hull.area == pytest.approx(0.09 * 0.1, rel=2e-4) and not polygon.interiors
+    assert object_from_mesh(path, 1.0, 0.3, up=turn[:, 2]).height.min() == pytest.approx(0.03, rel=1e-3)
+
+
+def test_a_vertex_without_a_number_is_told(tmp_path):
+    text = box(0.1, 0.1, 0.1).export(file_type="stl_ascii")
+    lines = text.splitlines()
+    row = [k for k, line in enumerate(lines) if "vertex" in line][5]
+    (tmp_path / "box.stl").write_text("\n".join([*lines[:row], "vertex nan 0.05 0.05", *lines[row + 1 :]]))
+    with pytest.raises(ValueError, match=r"box\.stl: vertex 5 is not finite"):
+        cells_from_mesh(tmp_path / "box.stl", count=4)
+
+
+def test_a_file_that_a_mesh_needs_is_named(tmp_path):
+    (tmp_path / "box.gltf").write_bytes(
+        trimesh.Scene(box(0.1, 0.1, 0.1)).export(file_type="gltf")["model.gltf"]
+    )
+    with pytest.raises(
+        ValueError, match=r"box\.gltf: .* needs the file gltf_buffer_0\.bin, which is missing"
+    ):
+        cells_from_mesh(tmp_path / "box.gltf", count=4)
+
+
+def test_advice_is_for_the_unit_in_the_file(tmp_path):
+    """Whoever reads the mesh: 1000 units of 0.02 m would be 1 m as mm and 20 m as they are."""
+    box(1000, 500, 100).export(tmp_path / "box.stl")
+    for use in (partial(cells_from_mesh, count=4), upright_mesh, partial(object_from_mesh, mass=1.0, mu=0.3)):
+        with pytest.raises(
+            ValueError, match=r"box\.stl: the footprint measures 20 m, .*=0\.001 \(mm\) gives 1e"
+        ):
+            use(tmp_path / "box.stl", metres_per_unit=0.02)
+
+
+def test_a_wide_mesh_raises_doubt(tmp_path):
+    box(150, 50, 10).export(tmp_path / "box.stl")
+    with pytest.warns(UserWarning, match=r"box\.stl: is 1\.5 m wide; .*=0\.001 \(mm\) gives 150 mm"):
+        cells_from_mesh(tmp_path / "box.stl", count=4, metres_per_unit=0.01)
 
 
 def test_what_a_surface_looks_like_becomes_a_few_colours(tmp_path):
