@@ -61,11 +61,12 @@ def status(text: str) -> None:
 
 @contextmanager
 def warnings_noted(worded: Callable[[str], str] = str) -> Iterator[None]:
-    """Print what the block warns of, each warning, as `worded`, as a line on stderr."""
+    """Print what the block warns of, each warning, as `worded`, as a line on stderr, and not again."""
     with warnings.catch_warnings(record=True) as found:
         yield
     for text in dict.fromkeys(str(one.message) for one in found if one.category is UserWarning):
         note(f"warning: {worded(text)}")
+        warnings.filterwarnings("ignore", re.escape(text), UserWarning)
 
 
 def wait_for_enter() -> None:

@@ -34,6 +34,7 @@ from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PushSu
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.objects.footprints import rings_of, without_scan_noise
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
@@ -359,9 +360,11 @@ def check_reach(scenario: Scenario, thing: TrueObject) -> None:
     pose = np.array([x, y, np.radians(degrees)])
     execution = scenario.execution
     checks = ArmChecks(scenario.arm.models, scenario.table.make(), execution)
+    exterior, holes = rings_of(without_scan_noise(thing.grid.polygon))  # the camera does not see it either
+    grid = replace(thing.grid, exterior=exterior, holes=holes)
     try:
         choose_push(
-            thing.grid, pose, execution.finger_radius, strategy="random", settings=scenario.pokes, tap=False,
+            grid, pose, execution.finger_radius, strategy="random", settings=scenario.pokes, tap=False,
             allowed=partial(checks.can_push, Obstacle(thing.grid, thing.height, pose)),
             rng=np.random.default_rng(0),
         )  # fmt: skip

@@ -37,7 +37,7 @@ class CameraConfig(CheckedSettings):
     height: float = within(1.1, 0.3, FARTHEST - 0.1)  # of the camera above the table, m
     position: list[float] = field(default_factory=lambda: [0.0, 0.0])  # (x, y) of the camera in W, m
     # rotation of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y
-    yaw: float = 0.0
+    yaw: float = within(0.0, -6.2832, 6.2832)
     # vertical field of view of the picture, rad
     fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
     # width, height_pixels: picture size
@@ -50,8 +50,6 @@ class CameraConfig(CheckedSettings):
         super().check()
         if len(self.position) != 2 or not np.isfinite(self.position).all():
             raise ValueError(f"camera.position must be x and y in m, got {self.position}")
-        if not np.isfinite(self.yaw):
-            raise ValueError(f"camera.yaw must be finite, got {self.yaw}")
 
     @property
     def X_WC(self) -> RigidTransform:

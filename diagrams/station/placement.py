@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import shapely
 from scipy.special import erf
 from shapely.affinity import rotate, translate
 from shapely.geometry import Polygon, box
@@ -74,10 +73,13 @@ def _check_table(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None
         return
     extent = np.ptp(corners, axis=0)
     x, y, _ = scenario.object.pose
-    unit = "; is object.metres_per_unit right?" if extent.max() > DOUBTFUL_EXTENT else ""
+    hint = "; is object.metres_per_unit right?" if extent.max() > DOUBTFUL_EXTENT else ""
+    if np.hypot(*(corners.mean(axis=0) - [x, y])) > extent.max():
+        place = "x = {:.3g} m, y = {:.3g} m".format(*(corners.min(axis=0) + extent / 2))
+        hint = f": its middle is at {place}, as object.pose places the origin of the mesh"
     raise ValueError(
         f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {extent[0]:.2f} m by {extent[1]:.2f} m, does"
-        f" not lie on the table, which has {size}{unit}"
+        f" not lie on the table, which has {size}{hint}"
     )
 
 
@@ -185,16 +187,17 @@ def _check_pictures(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> N
 
 def _check_table_seen(scenario: "Scenario", lies: Polygon) -> None:
     """The table's plane is fitted to readings near it, which must fill enough of the picture."""
-    camera, table, noise = scenario.camera, scenario.table, scenario.depth_noise
-    half = np.array(table.size) / 2
-    top = shapely.Point(0.0, 0.0).buffer(table.radius) if table.shape == "round" else box(*-half, *half)
+    camera, noise = scenario.camera, scenario.depth_noise
     sides = np.array([camera.width, camera.height_pixels]) * pixel_size(_view(scenario)) / 2
     picture = translate(
         rotate(box(*-sides, *sides), np.degrees(camera.yaw), origin=(0.0, 0.0)), *camera.position
     )
     near = erf(NARROWEST / (np.sqrt(2.0) * max(_noise_of_depth(scenario), 1e-9)))
     share = float(
-        (top & picture).difference(lies).area / picture.area * near * (1.0 - noise.missing_anywhere)
+        (scenario.table.make().polygon & picture).difference(lies).area
+        / picture.area
+        * near
+        * (1.0 - noise.missing_anywhere)
     )
     if share < LEAST_SHARE:
         raise ValueError(

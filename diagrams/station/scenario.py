@@ -7,7 +7,6 @@
 
 import dataclasses
 import difflib
-import math
 import reprlib
 import types
 import typing
@@ -29,7 +28,7 @@ from slipmap.diagrams.station.arm import ARM_MODELS
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig
 from slipmap.diagrams.station.sliding_object import GRAVITY
 from slipmap.models.files import BadInput, UnreadableFile, read_bounded
-from slipmap.models.measurements.parsing import shown_error
+from slipmap.models.measurements.parsing import read_as_text, shown_error
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.meshes import DIRECTIONS
@@ -394,13 +393,15 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         if not isinstance(value, dict):
             raise ScenarioError(f"{path}: {where} must hold names and values, got {_shown(value)}")
         for name, item in value.items():
-            _check(name, options[0], path, f"{where}, the name {_shown(name)}")
+            if not isinstance(name, str):
+                quoted = f"; write '{name}'" if isinstance(name, int) else ""
+                raise ScenarioError(f"{path}: {where}: the name {_shown(name)} must be text{quoted}")
             _check(item, options[1], path, f"{where}.{_name(name)}")
         return
     kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
     if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
         names = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
-        hint = _exponent(value) if wanted is not str else ""
+        hint = read_as_text(value) if wanted is not str else ""
         raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
     if wanted is float:
         try:
@@ -408,20 +409,6 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         except OverflowError as error:
             wrong = f"{where} must be a number that fits in double precision, got {_shown(value)}"
             raise ScenarioError(f"{path}: {wrong}") from error
-
-
-def _exponent(value: Any) -> str:
-    """A hint for a number that YAML reads as text, such as 1e6."""
-    try:
-        number = float(value) if isinstance(value, str) else None
-    except ValueError:
-        return ""
-    if number is None or not math.isfinite(number):
-        return ""
-    mantissa, _, power = f"{number:e}".partition("e")
-    digits = mantissa.rstrip("0")
-    written = f"{digits}0e{power}" if digits.endswith(".") else f"{digits}e{power}"
-    return f", which YAML reads as text; write {written}"
 
 
 def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-import shapely
 from pydrake import geometry
 from pydrake.common import MemoryFile
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -13,7 +12,7 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPl
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from slipmap.models.objects.footprints import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces, without_scan_noise
 from slipmap.models.objects.meshes import shaded_obj
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -26,8 +25,6 @@ STICTION = 1e-4  # speed below which friction lets an object creep, m/s
 SINK = 2e-5  # depth to which every usual foot sinks in under the load of its cell, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
-_MANY_CORNERS = 100  # outlines of blocks with more corners, such as from a scan, are simplified
-_SCAN_ERROR = 3e-4  # m; largest error of that
 _TABLE_STIFFNESS = 1e8  # N/m
 _DISSIPATION = 20.0  # s/m
 
@@ -221,10 +218,7 @@ def _share_round_table(
 def _block_corners(true_object: TrueObject, clearance: float) -> list[FloatArray]:
     result = []
     for block in true_object.blocks:
-        outline = block.outline
-        if shapely.get_num_coordinates(outline) > _MANY_CORNERS:
-            outline = outline.simplify(_SCAN_ERROR)
-        for piece in convex_pieces(outline):
+        for piece in convex_pieces(without_scan_noise(block.outline)):
             ring = np.asarray(piece.exterior.coords)[:-1].T
             ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (clearance, block.height)]
             result.append(np.hstack(ends))

@@ -11,8 +11,16 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from slipmap.models.geometry import rotated
-from slipmap.models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
+from slipmap.models.measurements import (
+    DatasetError,
+    PushDataset,
+    Trial,
+    finger_path,
+    pose_times,
+    wrench_samples,
+)
 from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.trial_checks import beside_table
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing
@@ -126,9 +134,16 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
 def observe_all(
     dataset: PushDataset, trials: Iterable[Trial] | None = None, coarseness: float = 1.0
 ) -> list[Observation]:
-    """Prepare some or all trials of a dataset, see `observe`."""
+    """Prepare some or all trials of a dataset, see `observe`.
+
+    Raises:
+        DatasetError: no table carries the object in one of them.
+    """
     order = {trial.name: place for place, trial in enumerate(dataset.trials)}
-    chosen = dataset.trials if trials is None else trials
+    chosen = dataset.trials if trials is None else list(trials)
+    for trial in chosen:
+        if (off := beside_table(dataset, trial)) is not None:
+            raise DatasetError(f"dataset {dataset.name}: {trial.name}: {off}")
     return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
 
 

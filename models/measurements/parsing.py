@@ -198,13 +198,22 @@ def text(value: object, where: str) -> str:
     return value
 
 
+def read_as_text(value: object) -> str:
+    """How to write a number that YAML reads as text, such as 1e6, 5e-3 or -.5; empty for other values."""
+    try:
+        result = float(value) if isinstance(value, str) and len(value) < 40 else math.nan
+    except ValueError:
+        return ""
+    if not math.isfinite(result):
+        return ""
+    whole = result.is_integer() and abs(result) < 1e9
+    return f", which is read as text; write {yaml.safe_dump(int(result) if whole else result).split()[0]}"
+
+
 def number(value: object, where: str) -> float:
     """A finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        hint = ""
-        if isinstance(value, str) and "e" in value.lower() and len(value) < 40:
-            hint = "; YAML reads 5e-3 and 1.e6 as text, write 5.0e-3 and 1.0e+6"
-        raise DatasetError(f"{where}: must be a number, got {shown(value)}{hint}")
+        raise DatasetError(f"{where}: must be a number, got {shown(value)}{read_as_text(value)}")
     result = _as_float(value, where)
     if not math.isfinite(result):
         raise DatasetError(f"{where}: must be a finite number, got {result}")
@@ -258,7 +267,7 @@ def table(value: object, columns: int, where: str) -> FloatArray:
         row, cell = next(
             (row, cell) for row, cells in enumerate(value) for cell in cells if type(cell) not in _CELLS
         )
-        raise DatasetError(f"{where}, row {row}: must hold numbers, got {shown(cell)}")
+        raise DatasetError(f"{where}, row {row}: must hold numbers, got {shown(cell)}{read_as_text(cell)}")
     try:
         return np.array(value, dtype=float).reshape(-1, columns)
     except OverflowError:

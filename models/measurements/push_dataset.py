@@ -14,6 +14,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import shapely
+from shapely.geometry import Polygon
 
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -199,6 +201,14 @@ class Table:
     center: tuple[float, float]
     radius: float | None = None
     size: tuple[float, float] | None = None
+
+    @property
+    def polygon(self) -> Polygon:
+        """The table top, m; of a round one within a hundredth of the radius."""
+        if self.size is None:
+            return shapely.Point(self.center).buffer(self.radius or 0.0)
+        half = 0.5 * np.array(self.size)
+        return shapely.box(*(self.center - half), *(self.center + half))
 
 
 @dataclass(frozen=True, eq=False)

@@ -369,6 +369,8 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
     """Reasons why a record cannot be that of a push, so that a unit or a frame must be wrong."""
     if _fastest(trial.object_pose) > _LARGEST_SPEED:
         yield f"the object moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
+    if (off := beside_table(setup, trial)) is not None:
+        yield off
     if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
         yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
     if _begins_at_rest(setup, trial) and (untouched := _untouched(setup, trial)) is not None:
@@ -378,6 +380,19 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
             yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
         if _stands_still(setup, trial):
             yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
+
+
+def beside_table(setup: Setup, trial: Trial) -> str | None:
+    """What is wrong if no table carries the object when a push begins; None if one does or none is given."""
+    if setup.table is None:
+        return None
+    lies = shapely.transform(setup.grid.polygon, partial(placed, pose=trial.object_pose.values[0]))
+    if lies.distance(setup.table.polygon) == 0.0:
+        return None
+    return (
+        "the object begins wholly beyond the table's rim; table.center and its size must be in m, in the"
+        " frame of object_pose"
+    )
 
 
 def _untouched(setup: Setup, trial: Trial) -> str | None:

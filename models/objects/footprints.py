@@ -285,6 +285,19 @@ def _pieces(edges: FloatArray, width: float) -> tuple[FloatArray, FloatArray, ND
     return start, along, edge, limits
 
 
+_MANY_CORNERS = 100
+_SCAN_ERROR = 3e-4  # m
+
+
+def without_scan_noise(polygon: Polygon) -> Polygon:
+    """The polygon, simplified by at most 0.3 mm if it has more than 100 corners, as from a scan."""
+    if shapely.get_num_coordinates(polygon) <= _MANY_CORNERS:
+        return polygon
+    simple = polygon.simplify(_SCAN_ERROR)
+    assert isinstance(simple, Polygon)
+    return simple
+
+
 _BULGE = 1e-4  # m; a convex piece may protrude from the polygon by this much
 
 _Borders = dict[int, dict[int, float]]

@@ -17,8 +17,11 @@ from typing import Any
 import numpy as np
 import trimesh
 import yaml
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
 
 from slipmap.models.measurements import read_dataset
+from slipmap.models.objects.meshes import lofted
 
 BLOCK = {"mesh": "block.stl", "mass": 0.6, "mu": 0.3}
 SMALL: dict[str, Any] = {
@@ -37,6 +40,13 @@ def block(**other: Any) -> dict[str, Any]:
 def shape(name: str, **other: Any) -> dict[str, Any]:
     """A scenario whose object is another mesh."""
     return block(mesh=f"{name}.stl", **other)
+
+
+def _lobes(corners: int) -> NDArray[np.float64]:
+    """(corners, 2) outline of a knob of 0.1 m with nine lobes and 0.1 mm of a scanner's noise, m."""
+    turn = np.linspace(0.0, 2 * np.pi, corners, endpoint=False)
+    radius = 0.05 + 0.004 * np.sin(9 * turn) + np.random.default_rng(0).normal(0.0, 1e-4, corners)
+    return radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 TRIED: dict[str, dict[str, Any]] = {
@@ -70,6 +80,7 @@ TRIED: dict[str, dict[str, Any]] = {
     "coarse steps": {"object": BLOCK, "simulation": {"time_step": 0.01}},
     "long rod": shape("rod"),
     "ring": shape("ring"),
+    "rough scan": shape("scan"),
     "can": shape("can"),
     "thin": shape("sheet"),
     "small": shape("die"),
@@ -88,6 +99,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         },
         "the arm cannot push block at x = 0.9 m, y = 0.2 m",
     ),
+    "far from its origin": (shape("far"), "its middle is at x = 10 m, y = 20 m, as object.pose places"),
     "off the table": (block(pose=[0.6, 0.0, 0.0]), "does not lie on the table"),
     "rougher than the table": (block(mu=1.3), "on the table: a friction coefficient of 1.3"),
     "sticky finger": (block(mu_finger=3.0), "at the finger: a friction coefficient of 3"),
@@ -95,6 +107,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"object": BLOCK, "camera": {"height": 0.3, "fov_y": 0.3}},
         "not wholly in the picture",
     ),
+    "yaw in degrees": ({"camera": {"yaw": 90.0}}, "camera.yaw must lie between -6.2832 and"),
     "camera far aside": ({"camera": {"position": [1.5, 0.0]}}, "not wholly in the picture"),
     "finger over the object": ({"execution": {"tip_height": 0.05}}, "would pass over it"),
     "too high": (shape("tower"), "the finger passes over objects of at most"),
@@ -133,6 +146,8 @@ MESHES: dict[str, Any] = {
     "block_mm": lambda: trimesh.creation.box((150, 100, 40)),
     "rod": lambda: trimesh.creation.box((0.6, 0.03, 0.03)),
     "ring": lambda: trimesh.creation.annulus(0.05, 0.07, 0.03),
+    "far": lambda: trimesh.creation.box(bounds=[[9.95, 19.95, 0.0], [10.05, 20.05, 0.04]]),
+    "scan": lambda: lofted(Polygon(_lobes(1000)), [(0.0, 0.0), (0.0, 0.03)]),
     "can": lambda: trimesh.creation.cylinder(0.04, 0.06),
     "sheet": lambda: trimesh.creation.box((0.2, 0.15, 0.006)),
     "foil": lambda: trimesh.creation.box((0.2, 0.15, 0.001)),

@@ -14,6 +14,8 @@ def test_what_cannot_work_is_refused_at_once(tmp_path, name):
     assert REFUSED[name][1] in str(refused.value) and "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["heavy", "far", "0.5 Hz", "camera aside", "long rod", "thin", "small"])
+@pytest.mark.parametrize(
+    "name", ["heavy", "far", "0.5 Hz", "camera aside", "long rod", "rough scan", "thin", "small"]
+)
 def test_what_may_work_is_let_in(tmp_path, name):
     assert scenario_of(written(tmp_path, name), None, simulated=True).object.called in str(TRIED[name])

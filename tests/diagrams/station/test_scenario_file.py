@@ -175,6 +175,8 @@ def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kin
     ("text", "named"),
     [
         ("camera: {height: 9.0}", ["camera.height", "0.3", "3.9", "9.0"]),
+        ("object: {masses: {1: 1.0}}", ["object.masses: the name 1 must be text; write '1'"]),
+        ("camera: {width: '640'}", ["camera.width must be a whole number", "'640'", "text; write 640"]),
         ("camera: {rate: .nan}", ["camera.rate", "nan"]),
         ("camera: {position: [0.1, 0.2, 0.3]}", ["camera.position", "[0.1, 0.2, 0.3]"]),
         ("camera: {yaw: .inf}", ["camera.yaw", "inf"]),

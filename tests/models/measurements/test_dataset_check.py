@@ -8,7 +8,8 @@ from straight_pushes import forced, posed, straight_pushes, tipped
 
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.geometry import rotated
-from slipmap.models.measurements import Channel, read_dataset
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements import Channel, DatasetError, Table, read_dataset
 from slipmap.models.measurements.dataset_check import EFFECT_NEEDS, check_dataset
 
 
@@ -91,6 +92,16 @@ def test_pushes_that_cannot_be_are_wrong(change, advice):
     found = finding(check, "units and frames")
     assert check.wrong and found.verdict == "wrong" and advice in found.advice
     assert "8 of 8 pushes" in found.found
+
+
+@pytest.mark.parametrize(
+    "table", [Table("round", (5.0, 5.0), radius=0.5), Table("rectangle", (-3.0, 0.0), size=(1.0, 0.8))]
+)
+def test_objects_that_no_table_carries_are_wrong_and_nothing_is_learned(table):
+    beside = replace(straight_pushes(8), table=table)
+    assert "wholly beyond the table's rim" in finding(check_dataset(beside), "units and frames").advice
+    with pytest.raises(DatasetError, match=r"trials/.*begins wholly beyond the table's rim; table\.center"):
+        identify(beside)
 
 
 def slid(times, tip):

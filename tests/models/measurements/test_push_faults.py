@@ -33,7 +33,7 @@ def replaced(key, value):
         (spoil("object_pose", 4, 1, 1e9), ["object_pose, row 4", "too large"]),
         (spoil("tip_pose", 0, 0, 1.46e18), ["tip_pose, row 0", "too large"]),
         (spoil("object_pose", -1, 0, 2100.0), ["object_pose", "may last at most 1000 s", "milliseconds"]),
-        (spoil("object_pose", 2, 1, "0.1"), ["object_pose, row 2", "must hold numbers", "'0.1'"]),
+        (spoil("object_pose", 2, 1, "0.1"), ["object_pose, row 2", "must hold numbers", "text; write 0.1"]),
         (spoil("object_pose", 2, 1, True), ["object_pose, row 2", "must hold numbers", "True"]),
         (spoil("object_pose", 2, 1, [0.1]), ["object_pose, row 2", "must hold numbers"]),
         (spoil("object_pose", 2, 1, 10**400), ["object_pose, row 2", "too large for a measured number"]),
