@@ -75,7 +75,7 @@ def _check_table(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None
     x, y, _ = scenario.object.pose
     hint = "; is object.metres_per_unit right?" if extent.max() > DOUBTFUL_EXTENT else ""
     if np.hypot(*(corners.mean(axis=0) - [x, y])) > extent.max():
-        place = "x = {:.3g} m, y = {:.3g} m".format(*(corners.min(axis=0) + extent / 2))
+        place = "x = {:.4g} m, y = {:.4g} m".format(*(corners.min(axis=0) + extent / 2))
         hint = f": its middle is at {place}, as object.pose places the origin of the mesh"
     raise ValueError(
         f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {extent[0]:.2f} m by {extent[1]:.2f} m, does"
