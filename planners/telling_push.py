@@ -449,7 +449,8 @@ def _as_imagined(observation: Observation) -> Push:
     push = observation.push
     steps = len(push.tip) - 1
     looks = push.h * steps * np.arange(1, 31) / 30
-    return replace(push, pose_times=looks, force_times=push.h * (np.arange(steps, dtype=float) + 0.5))
+    middles = push.h * (np.arange(steps, dtype=float) + 0.5)
+    return replace(push, pose_times=looks, force_times=middles, force_span=0.0)
 
 
 def _most_telling(

@@ -52,7 +52,7 @@ def check_effect(effect: Effect, where: str) -> None:
     """
     try:
         check_declaration(effect)
-        slots = Slots([effect], (real("downhill_x"), real("downhill_y")))  # of a slope that it may ask for
+        slots = Slots([effect])
         _check_values(effect, slots)
         _check_slopes(effect, slots)
         _check_that_it_acts(effect, slots)
@@ -63,15 +63,26 @@ def check_effect(effect: Effect, where: str) -> None:
 
 def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     """Refuse formulas that do not depend on the parameters, such as those without a `return`."""
+    names = [p.name for p in effect.parameters if p.null is not None]
+    if _acts(effect, names, slots):
+        return
+    written = " and ".join(f"{name}()" for name in FORMULAS if _overrides(type(effect), name))
+    if _acts(effect, names, Slots([effect], (real("downhill_x"), real("downhill_y")))):
+        raise EffectError(
+            f"what {written} return depends on {' or '.join(names)} only through downhill_x or downhill_y,"
+            " which are zero where nothing else makes a slope: let the effect pull downhill itself (`downhill`)"
+        )
+    raise EffectError(
+        f"what {written} return does not depend on {' or '.join(names)}: a formula needs a `return`, and at"
+        " least one parameter in it"
+    )
+
+
+def _acts(effect: Effect, names: Sequence[str], slots: Slots) -> bool:
+    """Whether what the formulas return depends on one of the parameters."""
     outputs = [*slots.body, *slots.cell, *slots.reports, *slots.renewed]
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
-    names = [p.name for p in effect.parameters if p.null is not None]
-    if not within & {parameter_name(effect.name, name) for name in names}:
-        written = [f"{name}()" for name in FORMULAS if _overrides(type(effect), name)]
-        raise EffectError(
-            f"what {' and '.join(written)} return does not depend on {' or '.join(names)}: a formula needs a"
-            " `return`, and at least one parameter in it"
-        )
+    return bool(within & {parameter_name(effect.name, name) for name in names})
 
 
 def _check_values(effect: Effect, slots: Slots) -> None:

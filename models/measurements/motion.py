@@ -11,7 +11,8 @@ from scipy.linalg import solveh_banded
 
 from slipmap.models.physics.cell_grid import FloatArray
 
-_LEAST_CHANGES = np.geomspace(3.0, 0.1, 15)  # ε of each iteration: smaller changes of acceleration are none
+_LEAST_CHANGES = np.geomspace(3.0, 0.1, 15)  # ε of each iteration, for rows `_USUAL_STEP` apart
+_USUAL_STEP = 0.01  # s
 _OFF_TRACK = 2.5  # times the noise; farther rows count linearly (Huber)
 _SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
@@ -40,10 +41,11 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
 
         Σ huber(|y - x| / σ) + 3/2 Σ log(1 + |Δ³x|² / (ε σ)²),
 
-    where third differences Δ³x, the changes of acceleration, are distributed as Cauchy's, and single rows off
-    the track, such as those stamped late, count linearly. Each iteration solves a least-squares problem with
-    the weights of the last one, for ε that falls from 3 to 0.1, which keeps the search from poor minima. σ is
-    estimated from third differences, which are small in smooth motion.
+    where third differences Δ³x of consecutive rows, the changes of acceleration, are distributed as Cauchy's,
+    and single rows off the track, such as those with a late time stamp, count linearly. Each iteration solves
+    a least-squares problem with the weights of the last one, for ε that falls from 3 to 0.1, which keeps the
+    search from poor minima; at more than 100 Hz ε is smaller by the cube of the step, so that the track is as
+    smooth in time at any rate. σ is estimated from third differences, which are small in smooth motion.
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
@@ -56,17 +58,17 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     if len(time) < 12:
         return time, track
     step = float(np.median(np.diff(time)))
-    grid = np.linspace(time[0], time[-1], max(4, round((time[-1] - time[0]) / step) + 1))
+    grid = np.linspace(time[0], time[-1], round((time[-1] - time[0]) / step) + 1)
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
-    smooth = rows = raw / noise
+    smooth = rows = (raw - raw[0]) / noise
     changes, counts = np.zeros(len(rows) - 3), np.ones(len(rows))
-    for least in _LEAST_CHANGES:
+    for least in _LEAST_CHANGES * min(1.0, step / _USUAL_STEP) ** 3:
         smooth = _least_squares(rows, counts, 3.0 / (changes + least**2))
         changes = (np.diff(smooth, 3, axis=0) ** 2).sum(axis=1)
         counts = _OFF_TRACK / np.maximum(np.hypot(*(smooth - rows).T), _OFF_TRACK)
-    return grid, smooth * noise
+    return grid, raw[0] + smooth * noise
 
 
 def _least_squares(rows: FloatArray, counts: FloatArray, weight: FloatArray) -> FloatArray:

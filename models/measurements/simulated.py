@@ -116,7 +116,7 @@ def _sampled(push: Push, rate: float, index: int) -> Push:
             f"recording: push {index} lasts {steps * push.h:.3g} s in steps of {push.h:.3g} s; at {rate:g} Hz"
             " there must be at least three rows, and a step for each"
         )
-    return replace(push, pose_times=rows, force_times=_ends(push)[1:] - 0.5 * push.h)
+    return replace(push, pose_times=rows, force_times=_ends(push)[1:] - 0.5 * push.h, force_span=0.0)
 
 
 def _ends(push: Push) -> FloatArray:

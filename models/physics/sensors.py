@@ -1,8 +1,8 @@
 """Reports of tracker and force sensor for a true motion, according to the effects in a model.
 
 The kernel handles the tracker's delay, since it knows every pose within a step. The rest is done here after a
-rollout, with derivatives. A late force is interpolated between the two steps around its time, for
-each step of its span.
+rollout, with derivatives. A late force is the mean over its span, each step of which is interpolated between
+the two steps around its earlier time.
 """
 
 from __future__ import annotations

@@ -322,10 +322,12 @@ class _Inquiry:
         ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
-        judged = [
-            self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked)))
-            for step, name in enumerate(asked)
-        ]
+        judged: list[_Judged] = []
+        for step, name in enumerate(asked):
+            try:
+                judged.append(self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked))))
+            except (RolloutError, np.linalg.LinAlgError):
+                objections[name] = "not refitted"
         self.judged = {one.name: one for one in judged}
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
@@ -397,13 +399,13 @@ class _Inquiry:
         self.report("refitting with effects", 0, 1)
         try:
             fit = self.together.fitted(self.effects, [starts[effect.name] for effect in self.effects])
+            self.report("refitting with effects", 1, 1)
+            evidence = fit.evidence(base)
+            judged = self._judge(fit, evidence, partial(self.report, "judging by locked pushes"))
         except (RolloutError, np.linalg.LinAlgError) as error:
             raise DatasetError(
                 f"the model with {names} cannot be fitted to these datasets: {error}"
             ) from error
-        self.report("refitting with effects", 1, 1)
-        evidence = fit.evidence(base)
-        judged = self._judge(fit, evidence, partial(self.report, "judging by locked pushes"))
         are, of = ("is", "its") if len(self.effects) == 1 else ("are", "their")
         verdict, objection = "undecided", f": {self._objection(judged)}"
         if evidence <= EVIDENCE:

@@ -13,7 +13,6 @@ from pushed_with_effects import BLOCK, RADIUS, plain_maps, sliding_push, with_va
 
 from slipmap.models.effects import LIBRARY, EffectError, Scene
 from slipmap.models.effects.effect_checks import check_declaration, check_starts
-from slipmap.models.effects.formulas import Slots
 from slipmap.models.effects.registry import effects_named, known_effects, load_effects
 from slipmap.models.physics.rollout import Slider
 
@@ -68,12 +67,11 @@ def test_an_effect_from_a_file_acts(file) -> None:  # type: ignore[no-untyped-de
     assert np.abs(pulled[1] - plain).max() > 1e-4
 
 
-def test_an_effect_may_need_the_slope_of_another(file) -> None:  # type: ignore[no-untyped-def]
+def test_an_effect_that_needs_the_slope_of_another_is_refused(file) -> None:  # type: ignore[no-untyped-def]
     """By itself it would do nothing."""
     factor = "    def friction(self, cell, p):\n        return 1 + p.strength * cell.downhill_x\n"
-    text = GOOD[: GOOD.index("    def force")] + factor
-    effects = [*load_effects(file(text)), *effects_named(["table_tilt"])]
-    assert Slots(effects[:1]).factor == 1 and Slots(effects).factor.free_symbols
+    with pytest.raises(EffectError, match="only through downhill_x"):
+        load_effects(file(GOOD[: GOOD.index("    def force")] + factor))
 
 
 def test_known_effects_are_the_library_and_the_files(file) -> None:  # type: ignore[no-untyped-def]

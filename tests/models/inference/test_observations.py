@@ -10,7 +10,7 @@ from slipmap.models.measurements import Channel, Noise, Trial, read_dataset
 from slipmap.models.measurements.motion import smooth_track
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 
@@ -31,10 +31,11 @@ def test_smoothing_removes_jitter_and_keeps_sudden_stops():
     assert speed[moving].std() < 0.1 * raw_speed[moving].std()
 
 
-def test_smoothing_keeps_the_corners_of_a_tap():
-    t = np.arange(100) * 0.01
+@pytest.mark.parametrize("rate", [100, 250, 1000])
+def test_smoothing_keeps_the_corners_of_a_tap_at_any_rate(rate):
+    t = np.arange(rate) / rate
     acceleration = np.select([(t >= 0.3) & (t < 0.4), (t >= 0.6) & (t < 0.7)], [3.0, -3.0])  # to 0.3 m/s
-    x = np.cumsum(np.cumsum(acceleration)) * 0.01**2
+    x = np.cumsum(np.cumsum(acceleration)) / rate**2
     true = np.column_stack([0.6 * x, 0.8 * x])
     errors = []
     for seed in range(20):
@@ -42,6 +43,9 @@ def test_smoothing_keeps_the_corners_of_a_tap():
         errors.append((smooth_track(t, noisy)[1] - true) @ [0.6, 0.8])
     assert np.sqrt(np.mean(np.square(errors))) < 0.5e-4
     assert np.abs(np.mean(errors, axis=0)).max() < 0.5e-4
+    cruising = np.array(errors)[:, (t > 0.45) & (t < 0.55)]
+    speed = 1e3 * (cruising[:, rate // 100 :] - cruising[:, : -(rate // 100)]) / 0.01  # mm/s, over 10 ms
+    assert np.sqrt(np.mean(speed**2)) < 1.0
 
 
 def test_a_single_row_off_the_track_does_not_bend_it():
@@ -134,10 +138,27 @@ def test_the_force_of_an_accelerating_finger_does_not_ring_at_its_rows():
     poses = Channel(t, np.zeros((len(t), 3)))
     push = observe(Trial("a", "fit", poses, Channel(t, tip))).push
     slider = Slider(grid, 0.01, smoothing=MEASURED_CONTACT)
-    push = replace(push, force_times=np.linspace(0.1, 0.28, 50))
+    push = replace(push, force_times=np.linspace(0.1, 0.28, 50), force_span=0.0)
     maps = Maps(np.full(len(grid), mass / len(grid)), np.full(len(grid), mu), 0.3)
     force = slider.rollout(maps, [push]).forces_of(0)[0]
     np.testing.assert_allclose(force[:, 0], mass * (mu * 9.81 + faster), rtol=0.05)
+
+
+def test_forces_of_a_tap_are_compared_as_means_over_their_intervals():
+    grid = cells_from_polygon(np.array([[-0.1, -0.06], [0.1, -0.06], [0.1, 0.06], [-0.1, 0.06]]), count=24)
+    slider = Slider(grid, 0.01, smoothing=MEASURED_CONTACT)
+    truth = Maps(np.full(len(grid), 0.8 / len(grid)), np.full(len(grid), 0.3), np.array([0.3]))
+    t = 0.002 * np.arange(401)
+    speed = np.interp(t, [0.2, 0.3, 0.5, 0.6], [0.05, 0.35, 0.35, 0.0])  # the force falls within an interval
+    x = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.002)])
+    push = Push(0.002, np.column_stack([x - 0.116, 0.0 * x]), np.zeros(3))
+    noise = Noise(position=1e-7, angle=1e-7, tip=1e-7, force=1e-6)
+    dataset = record_pushes(slider, truth, [push], np.random.default_rng(0), rate=500.0, noise=noise)
+    seen = observe(dataset.trials[0])
+    counted = seen.forces[seen.sliding, 0]
+    assert np.ptp(counted) > 1.0
+    means = slider.rollout(truth, [seen.counted]).forces_of(0)[0, :, 0]
+    assert means == pytest.approx(counted, rel=0.03)
 
 
 def test_a_stop_between_two_of_few_rows_stays_a_stop():
