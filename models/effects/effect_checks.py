@@ -70,7 +70,7 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     if _acts(effect, names, Slots([effect], (real("downhill_x"), real("downhill_y")))):
         raise EffectError(
             f"what {written} return depends on {' or '.join(names)} only through downhill_x or downhill_y,"
-            " which are zero where nothing else makes a slope: let the effect pull downhill itself (`downhill`)"
+            " which are zero where nothing else makes a slope: let the effect pull downhill too (`downhill`)"
         )
     raise EffectError(
         f"what {written} return does not depend on {' or '.join(names)}: a formula needs a `return`, and at"
