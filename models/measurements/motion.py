@@ -11,9 +11,9 @@ from scipy.linalg import solveh_banded
 
 from slipmap.models.physics.cell_grid import FloatArray
 
-_LEAST_CHANGES = np.geomspace(3.0, 0.1, 15)  # ε of each iteration, for rows `_USUAL_STEP` apart
-_USUAL_STEP = 0.01  # s
-_OFF_TRACK = 2.5  # times the noise; farther rows count linearly (Huber)
+_GENTLE_JERK = 10.0  # m/s³; changes of acceleration at this rate are no corners
+_FIRST_CHANGE, _ITERATIONS = 3.0, 15  # the first ε in multiples of the noise
+_OFF_TRACK = 2.5  # times the noise; rows farther off the track count linearly (Huber)
 _SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
 _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
@@ -39,13 +39,13 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     blunt these corners or let jitter pass; both change how far a struck object slides. So the track x
     minimises, with the noise σ of the recorded rows y,
 
-        Σ huber(|y - x| / σ) + 3/2 Σ log(1 + |Δ³x|² / (ε σ)²),
+        Σ huber(|y - x| / σ) + 3/2 Σ log(1 + |Δ³x|² / ε²),
 
     where third differences Δ³x of consecutive rows, the changes of acceleration, are distributed as Cauchy's,
     and single rows off the track, such as those with a late time stamp, count linearly. Each iteration solves
-    a least-squares problem with the weights of the last one, for ε that falls from 3 to 0.1, which keeps the
-    search from poor minima; at more than 100 Hz ε is smaller by the cube of the step, so that the track is as
-    smooth in time at any rate. σ is estimated from third differences, which are small in smooth motion.
+    a least-squares problem with the weights of the last one, for ε that falls from 3 σ, which keeps the search
+    from poor minima, to what a jerk of 10 m/s³ makes of rows so far apart. σ is estimated from third
+    differences, which are small in smooth motion.
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
@@ -64,7 +64,8 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
     smooth = rows = (raw - raw[0]) / noise
     changes, counts = np.zeros(len(rows) - 3), np.ones(len(rows))
-    for least in _LEAST_CHANGES * min(1.0, step / _USUAL_STEP) ** 3:
+    last = min(_FIRST_CHANGE, _GENTLE_JERK * step**3 / noise)
+    for least in np.geomspace(_FIRST_CHANGE, last, _ITERATIONS):
         smooth = _least_squares(rows, counts, 3.0 / (changes + least**2))
         changes = (np.diff(smooth, 3, axis=0) ** 2).sum(axis=1)
         counts = _OFF_TRACK / np.maximum(np.hypot(*(smooth - rows).T), _OFF_TRACK)
