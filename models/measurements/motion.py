@@ -43,9 +43,9 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
 
     where third differences Δ³x of consecutive rows, the changes of acceleration, are distributed as Cauchy's,
     and single rows off the track, such as those with a late time stamp, count linearly. Each iteration solves
-    a least-squares problem with the weights of the last one, for ε that falls from 3 σ, which keeps the search
-    from poor minima, to what a jerk of 10 m/s³ makes of rows so far apart. σ is estimated from third
-    differences, which are small in smooth motion.
+    a least-squares problem with the weights of the last one. ε falls from 3 σ, which keeps the search from
+    poor minima, to what a jerk of 10 m/s³ makes of rows so far apart. σ is estimated from third differences,
+    which are small in smooth motion.
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
