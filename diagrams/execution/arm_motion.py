@@ -221,8 +221,9 @@ def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:
 # N m: 15 N act some cm above it.
 _TORQUE_NOISE, _MOMENT_SPREAD = 0.1, 0.5
 
-TORQUE_LAG = 0.01
-"""s by which external torques lag behind the contact: the time constant of the driver's low-pass filter."""
+TORQUE_LAG = 0.009
+"""s by which external torques lag behind the contact: 10 ms, the time constant of the driver's low-pass filter,
+less half a step."""
 
 
 def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
