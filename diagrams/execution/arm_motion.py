@@ -222,8 +222,8 @@ def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:
 _TORQUE_NOISE, _MOMENT_SPREAD = 0.1, 0.5
 
 TORQUE_LAG = 0.009
-"""s by which external torques lag behind the contact: 10 ms, the time constant of the driver's low-pass filter,
-less half a step."""
+"""s by which external torques lag behind the contact: 10 ms, the time constant of the driver's low-pass
+filter, less half a step."""
 
 
 def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
