@@ -12,8 +12,9 @@ from scipy.linalg import solveh_banded
 from slipmap.models.physics.cell_grid import FloatArray
 
 _GENTLE_JERK = 10.0  # m/s³; changes of acceleration at this rate are no corners
-_FIRST_CHANGE, _ITERATIONS = 3.0, 15  # the first ε in multiples of the noise
+_FIRST_CHANGE, _ITERATIONS = 3.5, 15  # the first ε in multiples of the noise
 _OFF_TRACK = 2.5  # times the noise; rows farther off the track count linearly (Huber)
+_PAIRS = 8  # of opposite draws of noise
 _SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
 _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
@@ -33,19 +34,23 @@ _HUBER_ITERATIONS = 8
 
 
 def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The likeliest track of a finger whose acceleration changes rarely, but then by any amount.
+    """The track of a finger whose acceleration changes rarely, but then by any amount.
 
     A robot speeds up, moves, slows down and stops, each at its own acceleration. Windows of any width either
-    blunt these corners or let jitter pass; both change how far a struck object slides. So the track x
-    minimises, with the noise σ of the recorded rows y,
+    blunt these corners or let jitter pass; both change how far a struck object slides. So the likeliest track
+    x minimises, with the noise σ of the rows y,
 
         Σ huber(|y - x| / σ) + 3/2 Σ log(1 + |Δ³x|² / ε²),
 
     where third differences Δ³x of consecutive rows, the changes of acceleration, are distributed as Cauchy's,
     and single rows off the track, such as those with a late time stamp, count linearly. Each iteration solves
-    a least-squares problem with the weights of the last one. ε falls from 3 σ, which keeps the search from
+    a least-squares problem with the weights of the last one. ε falls from 3.5 σ, which keeps the search from
     poor minima, to what a jerk of 10 m/s³ makes of rows so far apart. σ is estimated from third differences,
     which are small in smooth motion.
+
+    Where jitter hides a corner, the likeliest track puts it at one place or another, a little too fast or too
+    slow, and a struck object slides as far as the fastest moment lets it: too far, however the jitter falls.
+    So the result is the mean of the likeliest tracks of records with as much noise again (bagging).
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
@@ -62,25 +67,40 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
-    smooth = rows = (raw - raw[0]) / noise
-    changes, counts = np.zeros(len(rows) - 3), np.ones(len(rows))
-    last = min(_FIRST_CHANGE, _GENTLE_JERK * step**3 / noise)
-    for least in np.geomspace(_FIRST_CHANGE, last, _ITERATIONS):
-        smooth = _least_squares(rows, counts, 3.0 / (changes + least**2))
-        changes = (np.diff(smooth, 3, axis=0) ** 2).sum(axis=1)
-        counts = _OFF_TRACK / np.maximum(np.hypot(*(smooth - rows).T), _OFF_TRACK)
-    return grid, raw[0] + smooth * noise
+    more = np.random.default_rng(0).standard_normal((_PAIRS, *raw.shape))
+    noisier = (raw - raw[0]) + noise * np.concatenate([more, -more])
+    noise *= np.sqrt(2.0)
+    least = min(_FIRST_CHANGE, _GENTLE_JERK * step**3 / noise)
+    return grid, raw[0] + noise * _likeliest(noisier / noise, least).mean(axis=0)
+
+
+def _likeliest(rows: FloatArray, least: float) -> FloatArray:
+    """Likeliest tracks (N, T, 2) for records (N, T, 2), in multiples of their noise; `least` is ε."""
+    smooth = rows
+    weight, counts = np.zeros(rows.shape[:2]), np.ones(rows.shape[:2])
+    changes = np.zeros_like(weight[:, 3:])
+    for epsilon in np.geomspace(_FIRST_CHANGE, least, _ITERATIONS):
+        weight[:, :-3] = 3.0 / (changes + epsilon**2)
+        smooth = _least_squares(rows, counts, weight)
+        changes = (np.diff(smooth, 3, axis=1) ** 2).sum(axis=-1)
+        counts = _OFF_TRACK / np.maximum(np.linalg.norm(smooth - rows, axis=-1), _OFF_TRACK)
+    return smooth
 
 
 def _least_squares(rows: FloatArray, counts: FloatArray, weight: FloatArray) -> FloatArray:
-    """x (T, c) that minimises Σ counts |x - rows|² + Σ weight |Δ³x|², for weights (T,) and (T - 3,)."""
-    upper = np.zeros((4, len(rows)))  # of the symmetric matrix with three diagonals beside the main one
-    upper[3] = counts
+    """x (N, T, c) that minimises Σ counts |x - rows|² + Σ weight |Δ³x|², for weights (N, T).
+
+    All tracks are one system, in which the last three weights of each, zero, part it from the next.
+    """
+    upper = np.zeros((4, counts.size))  # of the symmetric matrix with three diagonals beside the main one
+    upper[3] = counts.ravel()
+    parts = weight.ravel()[:-3]
     third = (-1.0, 3.0, -3.0, 1.0)
     for i, left in enumerate(third):
         for j, right in enumerate(third[i:], i):
-            upper[3 - (j - i), j : j + len(weight)] += left * right * weight
-    return solveh_banded(upper, counts[:, None] * rows)
+            upper[3 - (j - i), j : j + len(parts)] += left * right * parts
+    solution = solveh_banded(upper, (counts[..., None] * rows).reshape(counts.size, -1))
+    return solution.reshape(rows.shape)
 
 
 def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from slipmap.models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
 from slipmap.models.measurements import Channel, Noise, Trial, read_dataset
@@ -12,6 +13,7 @@ from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.table_push import TablePush
 
 
 def test_smoothing_removes_jitter_and_keeps_sudden_stops():
@@ -46,6 +48,26 @@ def test_smoothing_keeps_the_corners_of_a_tap_at_any_rate(rate):
     cruising = np.array(errors)[:, (t > 0.45) & (t < 0.55)]
     speed = 1e3 * (cruising[:, rate // 100 :] - cruising[:, : -(rate // 100)]) / 0.01  # mm/s, over 10 ms
     assert np.sqrt(np.mean(speed**2)) < 1.0
+
+
+def test_jitter_makes_a_struck_object_slide_neither_farther_nor_less_far():
+    rows = TablePush(np.array([-0.11, 0.0]), np.array([0.0, 0.0]), 0.3, creep=0.06).path(0.01)
+    t = 0.01 * np.arange(len(rows) + 40)  # the object comes to rest
+    true = np.vstack([rows, np.repeat(rows[-1:], 40, axis=0)])
+    grid = cells_from_polygon([[-0.04, -0.03], [0.04, -0.03], [0.04, 0.03], [-0.04, 0.03]], width=0.01)
+    slider = Slider(grid, 0.008, smoothing=MEASURED_CONTACT)
+    maps = Maps(np.full((1, len(grid)), 1.0 / len(grid)), np.full((1, len(grid)), 0.3), np.array([0.25]))
+    ends = 2e-3 * np.arange(int(t[-1] / 2e-3) + 1)
+
+    def slid(track: np.ndarray) -> float:
+        push = Push(2e-3, PchipInterpolator(t, track)(ends), np.zeros(3))
+        return float(slider.rollout(maps, [push]).end[0, 0, 0])
+
+    farther = []
+    for seed in range(40):
+        noisy = true + 1e-4 * np.random.default_rng(seed).standard_normal(true.shape)
+        farther.append(slid(smooth_track(t, noisy)[1]) - slid(smooth_track(t, true)[1]))
+    assert abs(np.mean(farther)) < 1.5e-4  # with the likeliest track alone 0.34 mm
 
 
 def test_a_single_row_off_the_track_hardly_bends_it():
