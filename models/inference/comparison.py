@@ -21,7 +21,6 @@ from slipmap.models.inference.identification import identify, named
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import (
     Prediction,
-    Predictor,
     check_same_object,
     predict_observations,
 )
@@ -129,7 +128,6 @@ def compare(
     seed: int = 0,
     label: str = "model",
     progress: Progress | None = None,
-    predictor: Predictor | None = None,
 ) -> Comparison:
     """Compare a belief with every push of a dataset.
 
@@ -140,7 +138,6 @@ def compare(
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
-        predictor: what moves the belief's hypotheses; `predicted_motion` if None.
 
     Raises:
         BeliefError: the dataset has a different finger or object.
@@ -159,7 +156,7 @@ def compare(
         belief = identify(dataset, seed=seed, progress=progress)
     if isinstance(belief, Identification):
         own = [(push.trial, push.role) for push in belief.pushes]
-        same = belief.belief.fingerprint == dataset.fingerprint and predictor is None
+        same = belief.belief.fingerprint == dataset.fingerprint
         if same and own == [(trial.name, trial.role) for trial in dataset.trials]:
             pushes, belief = belief.pushes, belief.belief
         else:
@@ -168,7 +165,7 @@ def compare(
         check_same_object(belief, dataset)
         belief = belief.on(dataset.table)
         every = observe_all(dataset)
-        pushes = predict_observations(belief, every, sensor_noise(dataset), progress, predictor)
+        pushes = predict_observations(belief, every, sensor_noise(dataset), progress)
     report = progress or silent
     grid = belief.grid
     observations, motions = [push.observation for push in pushes], [push.motion for push in pushes]

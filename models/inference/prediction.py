@@ -7,7 +7,7 @@ same number in every command.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -168,7 +168,6 @@ class Prediction:
 
 _CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees twice may differ
 
-Predictor = Callable[[Belief, Sequence[Observation]], Sequence[Motion]]
 
 
 def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
@@ -220,7 +219,6 @@ def predict_observations(
     observations: Sequence[Observation],
     noise: SensorNoise,
     progress: Progress | None = None,
-    predictor: Predictor | None = None,
 ) -> tuple[Prediction, ...]:
     """Do the work of `predict` on prepared observations.
 
@@ -229,13 +227,12 @@ def predict_observations(
         observations: B pushes.
         noise: of the sensors that measured them.
         progress: called with (stage, done, total).
-        predictor: what moves the hypotheses; `predicted_motion` if None.
     """
     grid, slider = belief.grid, belief.slider
     pushes = [observation.push for observation in observations]
     report = progress or silent
     report("predicting", 0, 3)
-    motions = (predictor or predicted_motion)(belief, observations)
+    motions = predicted_motion(belief, observations)
     report("predicting", 1, 3)
     uniform = _motions(belief, uniform_maps(belief), np.ones(1), observations)
     report("predicting", 2, 3)
@@ -243,8 +240,7 @@ def predict_observations(
     likeliest = belief.maps[best : best + 1]
     shift = 5e-4  # m, sideways shift of the start that shows how near balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
-    ends = None if predictor is None else np.stack([motion.poses[:, -1] for motion in motions], axis=1)
-    drawn, seen = drawn_ends(belief, observations, noise, ends), noise.of_poses
+    drawn, seen = drawn_ends(belief, observations, noise), noise.of_poses
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         middle = motion.middle_poses
@@ -294,9 +290,7 @@ def effective_travel(travel: FloatArray) -> FloatArray:
     return np.hypot(travel, _LEAST_TRAVEL)
 
 
-def drawn_ends(
-    belief: Belief, observations: Sequence[Observation], noise: SensorNoise, ends: FloatArray | None = None
-) -> FloatArray:
+def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
     """Ends of the hypotheses, each from starts that the tracker would see as the measured ones.
 
     A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.
@@ -305,7 +299,6 @@ def drawn_ends(
         belief: K hypotheses.
         observations: B pushes.
         noise: of the tracker.
-        ends: (K, B, 3) where another predictor than the belief's slider ends; the draws scatter about these.
 
     Returns:
         (K, B, 3) poses.
@@ -317,10 +310,7 @@ def drawn_ends(
     offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
     starts = np.array([observation.push.start_pose for observation in observations])
     pushes = [observation.push for observation in observations]
-    drawn = belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
-    if ends is None:
-        return drawn
-    return drawn + ends - belief.slider.rollout(belief.maps, pushes).end[:, :, :3]
+    return belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
 
 
 def uniform_maps(belief: Belief) -> Maps:

@@ -14,7 +14,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.end_region import MODEL_FREEDOM, EndRegion
 from slipmap.models.inference.error_model import SensorNoise, sensor_noise
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import Motion, predict_observations, predicted_motion
+from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.push_misfit import observation_of
 from slipmap.planners.exploration import candidate_pushes
 
@@ -134,21 +134,3 @@ def test_the_region_of_a_push_does_not_depend_on_what_else_is_predicted() -> Non
     among = predict_observations(belief, seen, noise)[-1]
     np.testing.assert_allclose(alone.end_interval, among.end_interval, rtol=0, atol=1e-12)
     assert alone.rarity == pytest.approx(among.rarity, abs=1e-9)
-
-
-def test_the_region_lies_where_the_predictor_ends() -> None:
-    dataset, _ = slipmap.simulated_hammer(seed=2, fit=3, heldout=1)
-    belief = slipmap.identify(dataset, hypotheses=6, friction_laws=False).belief
-    seen, noise, shift = observe_all(dataset)[-1:], sensor_noise(dataset), np.array([0.1, 0.0, 0.0])
-
-    def elsewhere(belief: Belief, observations: Any) -> tuple[Motion, ...]:
-        return tuple(
-            replace(motion, poses=motion.poses + shift) for motion in predicted_motion(belief, observations)
-        )
-
-    (plain,) = predict_observations(belief, seen, noise)
-    (moved,) = predict_observations(belief, seen, noise, predictor=elsewhere)
-    np.testing.assert_allclose(
-        moved.end_interval.mean(axis=0), plain.end_interval.mean(axis=0) + shift, atol=1e-4
-    )
-    assert moved.surprising and not plain.surprising
