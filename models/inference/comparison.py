@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
+from slipmap.models.files import plain
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.locked import with_locked
 from slipmap.models.inference.diagnosis.results import JointIdentification
@@ -53,19 +54,14 @@ class Totals:
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
-        errors = _errors_to_json(self.model, self.uniform, self.resting)
-        return {"pushes": self.pushes, "median_final_add": self.median_add} | errors
+        errors = {"model": self.model, "uniform": self.uniform, "no_motion": self.resting}
+        return {"pushes": self.pushes, "median_final_add": self.median_add, **errors}
 
 
 def _push_to_json(push: Prediction) -> dict[str, object]:
     names = ("trial", "role", "ends_only", "spread", "surprising", "excess")
-    return {name: getattr(push, name) for name in names} | _errors_to_json(
-        push.errors, push.uniform, push.resting
-    )
-
-
-def _errors_to_json(model: Errors, uniform: Errors, resting: Errors) -> dict[str, object]:
-    return {"model": model.to_json(), "uniform": uniform.to_json(), "no_motion": resting.to_json()}
+    errors = {"model": push.errors, "uniform": push.uniform, "no_motion": push.resting}
+    return {name: getattr(push, name) for name in names} | errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +103,13 @@ class Comparison:
 
     def to_json(self) -> dict[str, object]:
         """The machine-readable result; lengths in m, angles in rad, forces in N."""
-        return {
-            "label": self.label,
-            "dataset": self.dataset,
-            "learnt_from": self.learnt_from,
-            "totals": {role: totals.to_json() for role, totals in self.totals.items()},
-            "noise_floor": None if self.floor is None else self.floor.to_json(),
+        names = ("label", "dataset", "learnt_from", "totals", "structure", "correlations", "seed")
+        document = {name: getattr(self, name) for name in names} | {
+            "noise_floor": self.floor,
             "pushes": [_push_to_json(push) for push in self.pushes],
-            "structure": [pattern.to_json() for pattern in self.structure],
             "structure_testable": self.testable,
-            "correlations": None if self.correlations is None else self.correlations.to_json(),
-            "seed": self.seed,
         }
+        return plain(document)
 
 
 def compare(
@@ -258,14 +249,11 @@ class JointComparison:
 
     def to_json(self) -> dict[str, object]:
         """The machine-readable result; each dataset as `Comparison.to_json` says."""
-        return {
-            "datasets": [[one.to_json() for one in models] for models in self.datasets],
-            "recurring": [
-                {"quantity": pattern.quantity, "factor": pattern.factor, "datasets": list(names)}
-                for pattern, names in self.recurring
-            ],
-            "fitted": None if self.fitted is None else self.fitted.to_json(),
-        }
+        recurring = [
+            {"quantity": pattern.quantity, "factor": pattern.factor, "datasets": names}
+            for pattern, names in self.recurring
+        ]
+        return plain({"datasets": self.datasets, "recurring": recurring, "fitted": self.fitted})
 
 
 def compare_together(

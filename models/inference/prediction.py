@@ -169,7 +169,6 @@ class Prediction:
 _CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees twice may differ
 
 
-
 def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 

@@ -4,12 +4,12 @@ from sensors or repeated pushes."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-from slipmap.models.geometry import at_centroid, radius_of_gyration
+from slipmap.models.geometry import at_centroid, radius_of_gyration, relative, seen_from
 from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.observations import Observation, interpolated
 from slipmap.models.measurements import Noise
@@ -37,10 +37,6 @@ class Errors:
     # root mean square, over all poses and the forces of steady pushing, of the error in standard deviations
     # of the sensor noise; 1 is perfect
     misfit: float
-
-    def to_json(self) -> dict[str, float]:
-        """All numbers by name."""
-        return asdict(self)
 
 
 def errors(
@@ -144,10 +140,6 @@ class NoiseFloor:
     repeats: int  # number of pushes that have a repeat
     groups: tuple[tuple[str, ...], ...]  # names of pushes that repeat each other
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return asdict(self)
-
 
 def noise_floor(
     observations: Sequence[Observation], noise: Noise, grid: CellGrid, rng: np.random.Generator
@@ -201,19 +193,10 @@ def _track(observation: Observation) -> FloatArray | None:
         return None
     rows = np.linspace(0, len(push.tip) - 1, 21)
     tip = interpolated(rows, np.arange(len(push.tip)), push.tip)
-    return _seen_from(push.start_pose, tip)
-
-
-def _seen_from(pose: FloatArray, points: FloatArray) -> FloatArray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return (points - pose[:2]) @ np.array([[c, -s], [s, c]])
+    return seen_from(tip, push.start_pose)
 
 
 def _scatter(group: list[Observation], grid: CellGrid) -> FloatArray:
     """(n,) ADD of each end pose, seen from its start, to the group's mean; unbiased for small groups."""
-    ends = []
-    for observation in group:
-        start, end = observation.push.start_pose, observation.poses[-1]
-        ends.append([*_seen_from(start, end[:2]), end[2] - start[2]])
-    poses = np.array(ends)
+    poses = np.array([relative(one.push.start_pose, one.poses[-1]) for one in group])
     return add(poses, poses.mean(axis=0), grid.centers) * np.sqrt(len(group) / (len(group) - 1))

@@ -21,7 +21,7 @@ for all lags together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,7 +239,7 @@ class Pattern:
 
     def to_json(self) -> dict[str, object]:
         """All fields, and whether it is significant."""
-        return {**asdict(self), "significant": self.significant}
+        return {**vars(self), "significant": self.significant}
 
 
 def factor_patterns(
@@ -322,19 +322,8 @@ _DRAWS = 1999
 _LEAST_PUSHES = 4
 
 
-class _Fields:
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        values = vars(self).items()
-        return {key: v.to_json() if isinstance(v, Correlation) else _plain(v) for key, v in values}
-
-
-def _plain(value: object) -> object:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
 @dataclass(frozen=True, eq=False)
-class Correlation(_Fields):
+class Correlation:
     """Correlation over lags, with the bounds of chance."""
 
     name: str  # `memory`, `finger_along` or `finger_left`
@@ -345,7 +334,7 @@ class Correlation(_Fields):
 
 
 @dataclass(frozen=True, eq=False)
-class Correlations(_Fields):
+class Correlations:
     """All correlations of one comparison."""
 
     memory: Correlation  # of the residual with itself

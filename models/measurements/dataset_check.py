@@ -125,16 +125,7 @@ class DatasetCheck:
 
     def to_json(self) -> dict[str, Any]:
         """For `--json`."""
-        return {
-            "dataset": self.dataset,
-            "wrong": self.wrong,
-            "findings": [vars(finding) for finding in self.findings],
-            "coverage": vars(self.coverage),
-            "quantities": [vars(told) for told in self.quantities],
-            "effects": [vars(told) for told in self.effects],
-            "advice": list(self.advice),
-            "provenance": list(self.provenance),
-        }
+        return {**vars(self), "wrong": self.wrong}
 
 
 def check_dataset(dataset: PushDataset) -> DatasetCheck:

@@ -146,10 +146,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         fates.append([hidden, *(_fates(of[robot]) for robot in ROBOTS)])
         document[hidden] = {
             "answers": counts,
-            "right": found.to_json(),
-            "errors": experiments.as_json(errors),
-            "held": experiments.as_json(held[hidden]),
-            "pushes": experiments.as_json(pushes),
+            "right": found,
+            "errors": errors,
+            "held": held[hidden],
+            "pushes": pushes,
         }
     title = "Explored, brought to the edge, grasped and lifted"
     columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))

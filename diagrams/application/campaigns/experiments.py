@@ -70,7 +70,7 @@ class Summary:
 
     tables: list[TableText]  # with the paper's numbers, if any
     remark: str  # on the comparison
-    document: dict[str, Any]  # the same as JSON
+    document: dict[str, Any]  # the same for JSON
     figures: Callable[[], list[Figure]]  # draws them
 
 
@@ -123,13 +123,6 @@ class Experiment:
             for name in objects
             for variant in variants
         ]
-
-
-def as_json(estimates: Any) -> Any:
-    """Mappings and lists of estimates as JSON."""
-    if isinstance(estimates, Mapping):
-        return {name: as_json(one) for name, one in estimates.items()}
-    return [as_json(one) for one in estimates] if isinstance(estimates, list) else estimates.to_json()
 
 
 STABLE_GOALS: dict[str, tuple[float, float]] = {

@@ -113,7 +113,7 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.
     return experiments.Summary(
         tables,
         remark,
-        {"curves": experiments.as_json(means), "unit": "m"},
+        {"curves": means, "unit": "m"},
         lambda: [figures.curves_figure(title, means)],
     )
 

@@ -20,7 +20,6 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Experiment,
     Summary,
     TableText,
-    as_json,
 )
 from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
@@ -80,9 +79,8 @@ class MethodsCompared:
         return TableText(title, ("", *self.methods), rows)
 
     def to_json(self, success: str) -> dict[str, Any]:
-        """As JSON, with the shares of success under the key `success`."""
-        fates = {method: dict(of) for method, of in self.fates.items()}
-        return {success: as_json(self.success), "pushes": as_json(self.pushes), "fates": fates}
+        """For JSON, with the shares of success under the key `success`."""
+        return {success: self.success, "pushes": self.pushes, "fates": self.fates}
 
     def figures(self, title: str, paper: Paper) -> list[Figure]:
         """Bars of success, with marks for the paper's."""

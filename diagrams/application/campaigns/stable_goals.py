@@ -112,9 +112,9 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         ],
         "Poses of a trial and draws from a belief are treated as independent. The paper used real objects.",
         {
-            "precision": experiments.as_json(precision),
-            "recall": experiments.as_json(recall),
-            "reliability": [{"stated": stated, **estimate.to_json()} for stated, estimate in bins],
+            "precision": precision,
+            "recall": recall,
+            "reliability": [{"stated": stated, **vars(estimate)} for stated, estimate in bins],
             "paper": {method: list(ends) for method, ends in experiments.STABLE_GOALS.items()},
         },
         lambda: [

@@ -100,7 +100,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             compared.ways_table("Pushes, and how trials ended", "pushes, mean", EDGE_FATES),
         ],
         "Both models learn from the same five pushes. The error of a trial is the mean over its pushes.",
-        {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
+        {"tilt": TILT, "success": told.pop("success"), "errors": errors, **told},
         lambda: [
             figures.means_figure("Error of predicted ends", errors, 1e3, "mean error, mm"),
             *compared.figures(title, {}),

@@ -13,7 +13,7 @@ import os
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -285,10 +285,6 @@ class Estimate:
         if not np.isfinite(self.high - self.low):
             return self.text(factor, digits)
         return f"{factor * self.value:.{digits}f} ± {factor * (self.high - self.low) / 2:.{digits}f}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers; None for unknown ones."""
-        return {key: value if np.isfinite(value) else None for key, value in asdict(self).items()}
 
 
 def share(successes: int, count: int) -> Estimate:

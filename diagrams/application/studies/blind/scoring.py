@@ -11,6 +11,7 @@ import numpy as np
 from slipmap.diagrams.application.campaigns.trials import exact_range
 from slipmap.diagrams.application.studies.blind.generator import Truth
 from slipmap.diagrams.application.terminal import WIDTH
+from slipmap.models.files import plain
 from slipmap.models.inference.diagnosis.results import VERDICTS
 
 COLUMNS = {
@@ -65,17 +66,8 @@ class Score:
 
     def to_json(self) -> dict[str, Any]:
         """The score as JSON."""
-        return {
-            "columns": COLUMNS,
-            "confusion": self.confusion,
-            "named": self.named,
-            "rates": [
-                vars(rate) | {"share": rate.share if rate.of else None, "range": list(rate.range)}
-                for rate in self.rates
-            ],
-            "cases": list(self.cases),
-            "failed": self.failed,
-        }  # fmt: skip
+        rates = [vars(rate) | {"share": rate.share, "range": rate.range} for rate in self.rates]
+        return plain({**vars(self), "columns": COLUMNS, "rates": rates})
 
     def text(self) -> str:
         """The score for a terminal of 80 columns."""

@@ -27,7 +27,7 @@ def test_interval_of_a_mean_holds_it_as_often_as_stated() -> None:
     assert inside == pytest.approx(0.95, abs=0.015)
     assert not np.isfinite(mean([1.0]).low)
     assert mean([1.0]).text(1e3, 0) == "1000"
-    assert mean([1.0, 2.0]).to_json()["count"] == 2
+    assert mean([1.0, 2.0]).count == 2
 
 
 def test_estimates_are_told_as_in_a_table() -> None:
