@@ -4,69 +4,129 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from slipmap.models.physics.cell_grid import FloatArray
+
+FOOT = 2e-3  # m, radius
+SINK = 2e-4  # m; penetration of every foot under the weight of its cell
+CLEARANCE = 4e-4  # m, between the table and the sides that the finger touches
+MARGIN = 1e-3  # m; by which Bullet inflates convex hulls
+TABLE, FEET, SIDES, FINGER = 1, 2, 4, 8  # collision groups
 LEVEL = (0.0, 0.0, 0.0, 1.0)  # the identity quaternion
 _LINK_MASS = 1e-6  # kg
 _FINGER_MASS = 1e-2  # kg; so light that its drive force is the contact force
+_MOTOR = [1e4, 1e4]  # N; nothing in the scene can stop it
 
 
-def body_of_links(
-    p: ModuleType,
-    where: dict[str, int],
-    mass: float,
-    shapes: Sequence[int],
-    places: Sequence[Sequence[float]],
-    turn: Sequence[float] = LEVEL,
-) -> int:
-    """A body with all the mass (kg), to which almost massless links with these shapes are fixed.
+class BulletScene:
+    """A client of pybullet with an object on feet and a finger.
 
     Args:
-        p, where: pybullet, and the client.
-        places: of each link's frame in the body's principal one, m.
-        turn: quaternion of all links' frames in it, real part last.
+        p: the module pybullet.
+        gravity: (3,) m/s².
+        dt: time step, s.
+        cone: whether friction is limited by a cone; otherwise along two axes independently.
+        iterations: of the solver.
     """
-    count, here = len(shapes), [0.0, 0.0, 0.0]
-    return int(
-        p.createMultiBody(
+
+    def __init__(self, p: ModuleType, gravity: ArrayLike, dt: float, cone: bool, iterations: int) -> None:
+        self.p, self.where = p, {"physicsClientId": p.connect(p.DIRECT)}
+        p.setGravity(*np.asarray(gravity), **self.where)
+        p.setTimeStep(dt, **self.where)
+        p.setPhysicsEngineParameter(
+            enableConeFriction=int(cone), numSolverIterations=iterations, **self.where
+        )
+
+    def __del__(self) -> None:
+        self.p.disconnect(**self.where)
+
+    def prism(self, ring: FloatArray, top: float) -> int:
+        """A shape with a convex base (k, 2) just above the table and a top at a height (m)."""
+        corners = [[*corner, z] for z in (CLEARANCE + MARGIN, top) for corner in ring]
+        return int(self.p.createCollisionShape(self.p.GEOM_MESH, vertices=corners, **self.where))
+
+    def add_object(
+        self,
+        inertia: tuple[float, FloatArray],
+        feet: Sequence[tuple[int, float, float]],
+        sides: Sequence[int],
+        mu_finger: float,
+        places: Sequence[Sequence[float]],
+        turn: Sequence[float] = LEVEL,
+        stops: int = FINGER,
+    ) -> int:
+        """A body with all the mass, to which almost massless links are fixed: feet, and sides for the finger.
+
+        The stiffness of each foot is proportional to its load, so that it carries that load.
+
+        Args:
+            inertia: mass (kg) and (3,) principal moments (kg m²) of the body.
+            feet: shape of each, the mass (kg) that it carries, and its friction coefficient.
+            sides: their shapes.
+            mu_finger: friction coefficient of the sides.
+            places: of the frames of feet and sides in the body's principal one, m.
+            turn: quaternion of all these frames in it, real part last.
+            stops: collision groups of what the sides touch.
+        """
+        p, where = self.p, self.where
+        mass, moments = inertia
+        shapes = [shape for shape, _, _ in feet] + list(sides)
+        count, here = len(shapes), [0.0, 0.0, 0.0]
+        body = p.createMultiBody(
             mass, -1, -1, here, LEVEL, linkMasses=[_LINK_MASS] * count, linkCollisionShapeIndices=shapes,
             linkVisualShapeIndices=[-1] * count, linkPositions=places, linkOrientations=[turn] * count,
             linkInertialFramePositions=[here] * count, linkInertialFrameOrientations=[LEVEL] * count,
             linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
             linkJointAxis=[[0, 0, 1]] * count, **where,
+        )  # fmt: skip
+        p.changeDynamics(
+            body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=moments.tolist(), **where
         )
-    )  # fmt: skip
+        for link, (_, load, mu) in enumerate(feet):
+            stiffness = load * 9.81 / SINK
+            damping = 2 * np.sqrt(stiffness * load)
+            p.changeDynamics(
+                body, link, lateralFriction=mu, contactStiffness=stiffness, contactDamping=damping, **where
+            )
+            p.setCollisionFilterGroupMask(body, link, FEET, TABLE, **where)
+        for link in range(len(feet), count):
+            # The sides hang just above the table: only real contacts count.
+            p.changeDynamics(body, link, lateralFriction=mu_finger, contactProcessingThreshold=0.0, **where)
+            p.setCollisionFilterGroupMask(body, link, SIDES, stops, **where)
+        return int(body)
 
+    def add_finger(self, shape: int, height: float) -> None:
+        """Add a finger with a shape and its frame at a height (m), on rails along x and y."""
+        p, where, here = self.p, self.where, [[0.0, 0.0, 0.0]] * 2
+        finger = p.createMultiBody(
+            0, -1, basePosition=[0, 0, height], linkMasses=[_FINGER_MASS] * 2,
+            linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
+            linkOrientations=[LEVEL] * 2, linkInertialFramePositions=here,
+            linkInertialFrameOrientations=[LEVEL] * 2, linkParentIndices=[0, 1],
+            linkJointTypes=[p.JOINT_PRISMATIC] * 2, linkJointAxis=np.eye(3)[:2].tolist(), **where,
+        )  # fmt: skip
+        p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
+        for link in (-1, 0, 1):
+            p.setCollisionFilterGroupMask(finger, link, FINGER if link == 1 else 0, SIDES, **where)
+        self._finger = int(finger)
 
-def set_foot(
-    p: ModuleType, where: dict[str, int], body: int, link: int, mass: float, mu: float, sink: float
-) -> None:
-    """Let a link carry the weight of a mass (kg) where it has sunk in by `sink` (m), with friction `mu`."""
-    stiffness = mass * 9.81 / sink
-    p.changeDynamics(
-        body, link, lateralFriction=mu, contactStiffness=stiffness,
-        contactDamping=2 * np.sqrt(stiffness * mass), **where,
-    )  # fmt: skip
+    def put_finger(self, place: FloatArray, speed: FloatArray | None = None) -> None:
+        """Place the finger at (2,) m, at rest or with a velocity (2,) m/s."""
+        for joint in (0, 1):
+            moving = 0.0 if speed is None else float(speed[joint])
+            self.p.resetJointState(self._finger, joint, float(place[joint]), moving, **self.where)
 
+    def finger_states(self) -> list[Sequence[Any]]:
+        """What pybullet tells about the finger's two joints; the force of their motors is that of contact."""
+        return list(self.p.getJointStates(self._finger, [0, 1], **self.where))
 
-def finger_on_rails(
-    p: ModuleType, where: dict[str, int], shape: int, height: float, group: int, mask: int
-) -> int:
-    """A finger with a shape and its frame at a height (m), on joints 0 along x and 1 along y.
-
-    Args:
-        group, mask: collision group of the finger, and of what it touches.
-    """
-    here = [[0.0, 0.0, 0.0]] * 2
-    finger = p.createMultiBody(
-        0, -1, basePosition=[0, 0, height], linkMasses=[_FINGER_MASS] * 2,
-        linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
-        linkOrientations=[LEVEL] * 2, linkInertialFramePositions=here,
-        linkInertialFrameOrientations=[LEVEL] * 2, linkParentIndices=[0, 1],
-        linkJointTypes=[p.JOINT_PRISMATIC] * 2, linkJointAxis=np.eye(3)[:2].tolist(), **where,
-    )  # fmt: skip
-    p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
-    for link in (-1, 0, 1):
-        p.setCollisionFilterGroupMask(finger, link, group if link == 1 else 0, mask, **where)
-    return int(finger)
+    def drive(self, speed: FloatArray) -> None:
+        """Let its motors drive the finger at a velocity (2,) m/s in the next time step."""
+        self.p.setJointMotorControlArray(
+            self._finger, [0, 1], self.p.VELOCITY_CONTROL, targetVelocities=speed.tolist(), forces=_MOTOR,
+            **self.where,
+        )  # fmt: skip

@@ -4,7 +4,16 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails, set_foot
+from slipmap.diagrams.application.bullet_bodies import (
+    FEET,
+    FINGER,
+    FOOT,
+    MARGIN,
+    SIDES,
+    SINK,
+    TABLE,
+    BulletScene,
+)
 from slipmap.diagrams.application.campaigns.worlds import (
     AT_REST,
     LONGEST_SETTLING,
@@ -23,10 +32,6 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
 STEP = 2e-3  # s
-_SINK = 2e-4  # m; penetration of every foot under the weight of its cell
-_CLEARANCE = 4e-4  # m; between the feet's lower end and the prisms
-_FOOT_RADIUS = 2e-3  # m
-_MARGIN = 1e-3  # m; by which Bullet inflates convex hulls
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
@@ -34,7 +39,6 @@ _AWAY = np.array([20.0, 20.0])
 _ITERATIONS = 50
 _CONTACTS = 4  # contacts that Bullet keeps between two bodies
 _APART = 0.03  # m; Bullet merges contacts closer than 20 mm
-_TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
 Pose = tuple[list[float], list[float]]  # place, and quaternion with the real part last
 
 
@@ -58,16 +62,14 @@ class BulletWorld(DirectWorld):
                 "Bullet is not installed; install it with `pip install 'slipmap[bench]'`"
             ) from error
         super().__init__(true_object, table, noise)
-        self._p = pybullet
-        self._where = {"physicsClientId": pybullet.connect(pybullet.DIRECT)}
-        pybullet.setGravity(0, 0, -GRAVITY, **self._where)
-        pybullet.setTimeStep(STEP, **self._where)
-        pybullet.setPhysicsEngineParameter(
-            enableConeFriction=1, numSolverIterations=_ITERATIONS, **self._where
-        )
+        self._bullet = BulletScene(pybullet, (0, 0, -GRAVITY), STEP, True, _ITERATIONS)
+        self._p, self._where = pybullet, self._bullet.where
         self._add_table()
         self._body = self._add_object()
-        self._finger = self._add_finger()
+        finger = pybullet.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **self._where
+        )
+        self._bullet.add_finger(finger, _FINGER_HEIGHT + FINGER_LENGTH / 2)
 
     @property
     def _step(self) -> float:
@@ -77,33 +79,29 @@ class BulletWorld(DirectWorld):
         p, where = self._p, self._where
         turn = p.getQuaternionFromEuler([0, 0, float(pose[2])])
         # Bullet's pose of a body is that of its principal frame.
-        X_WI = p.multiplyTransforms([pose[0], pose[1], -_SINK], turn, *self._X_OI)
+        X_WI = p.multiplyTransforms([pose[0], pose[1], -SINK], turn, *self._X_OI)
         p.resetBasePositionAndOrientation(self._body, *X_WI, **where)
         p.resetBaseVelocity(self._body, [0, 0, 0], [0, 0, 0], **where)
-        self._move_finger(_AWAY)
+        self._bullet.put_finger(_AWAY)
 
     def _drive(self, tip: FloatArray) -> Motion:
         p, where = self._p, self._where
-        self._move_finger(tip[0])
+        self._bullet.put_finger(tip[0])
         stride = round(PERIOD / STEP)
         poses, tips, forces = [self._pose()], [tip[0]], [np.zeros(2)]
         total, now = np.zeros(2), tip[0]
         for step, wanted in enumerate(tip[1:], start=1):
-            p.setJointMotorControlArray(
-                self._finger, [0, 1], p.VELOCITY_CONTROL,
-                targetVelocities=((wanted - now) / STEP).tolist(), forces=[1e4, 1e4], **where,
-            )  # fmt: skip
+            self._bullet.drive((wanted - now) / STEP)
             p.stepSimulation(**where)
-            states = p.getJointStates(self._finger, [0, 1], **where)
+            states = self._bullet.finger_states()
             now = np.array([state[0] for state in states])
-            # The finger is so light that its drive force is the contact force.
             total = total + [state[3] for state in states]
             if step % stride == 0:
                 poses.append(self._pose())
                 tips.append(now)
                 forces.append(total / stride)
                 total = np.zeros(2)
-        self._move_finger(_AWAY)
+        self._bullet.put_finger(_AWAY)
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
@@ -121,10 +119,6 @@ class BulletWorld(DirectWorld):
         x, y, z, w = np.array(turn)
         return flat_pose(np.array(place), w, x, y, z)
 
-    def _move_finger(self, place: FloatArray) -> None:
-        for joint in (0, 1):
-            self._p.resetJointState(self._finger, joint, float(place[joint]), 0.0, **self._where)
-
     def _add_table(self) -> None:
         p, where, table = self._p, self._where, self.table
         if table.radius is not None:
@@ -140,46 +134,31 @@ class BulletWorld(DirectWorld):
         )  # fmt: skip
         for body in (top, floor):
             p.changeDynamics(body, -1, lateralFriction=1.0, **where)
-            p.setCollisionFilterGroupMask(body, -1, _TABLE, _FEET | _BLOCKS, **where)
+            p.setCollisionFilterGroupMask(body, -1, TABLE, FEET | SIDES, **where)
 
     def _add_object(self) -> int:
-        """A body with all the mass; feet and prisms are massless links.
-
-        Feet of equal cells share links, because Bullet's cost per contact grows with the number of links.
-        """
-        p, where, thing = self._p, self._where, self.true_object
-        inertia, self._X_OI = self._principal()
-        self._X_IO = p.invertTransform(*self._X_OI)
-        groups = _groups(thing)
-        feet = [self._feet(thing.grid.centers[group]) for group in groups]
-        blocks = [
-            p.createCollisionShape(p.GEOM_MESH, vertices=corners.tolist(), **where)
-            for corners in self._prisms()
+        # Feet of equal cells share links, because Bullet's cost per contact grows with the number of links.
+        thing = self.true_object
+        moments, self._X_OI = self._principal()
+        self._X_IO = self._p.invertTransform(*self._X_OI)
+        feet = [
+            (self._feet(thing.grid.centers[group]), thing.mass[group[0]], thing.mu[group[0]])
+            for group in _groups(thing)
         ]
-        n, count = len(feet), len(feet) + len(blocks)
+        sides = self._sides()
         place, turn = self._X_IO
-        body = body_of_links(p, where, thing.total_mass, feet + blocks, [place] * count, turn)
-        p.changeDynamics(
-            body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
+        places = [place] * (len(feet) + len(sides))
+        return self._bullet.add_object(
+            (thing.total_mass, moments), feet, sides, thing.mu_finger, places, turn, FINGER | TABLE
         )
-        for link, (first, *_) in enumerate(groups):
-            set_foot(p, where, body, link, thing.mass[first], thing.mu[first], _SINK)
-            p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
-        # The prisms hang just above the table: only real contacts count.
-        for block in range(n, count):
-            p.changeDynamics(
-                body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
-            )
-            p.setCollisionFilterGroupMask(body, block, _BLOCKS, _FINGER | _TABLE, **where)
-        return body
 
     def _feet(self, centers: FloatArray) -> int:
         """A shape of spheres under cells with centres (k, 2)."""
         p, count = self._p, len(centers)
         return int(
             p.createCollisionShapeArray(
-                shapeTypes=[p.GEOM_SPHERE] * count, radii=[_FOOT_RADIUS] * count,
-                collisionFramePositions=[[x, y, _FOOT_RADIUS] for x, y in centers], **self._where,
+                shapeTypes=[p.GEOM_SPHERE] * count, radii=[FOOT] * count,
+                collisionFramePositions=[[x, y, FOOT] for x, y in centers], **self._where,
             )
         )  # fmt: skip
 
@@ -193,23 +172,14 @@ class BulletWorld(DirectWorld):
         x, y, z, w = Rotation.from_matrix(axes).as_quat()
         return moments, (middle.tolist(), [x, y, z, w])
 
-    def _prisms(self) -> list[FloatArray]:
-        """(k, 3) corners of convex prisms, shrunk by the margin that Bullet adds, object frame."""
-        result = []
-        for block in self.true_object.blocks:
-            ends = (_CLEARANCE + _MARGIN, block.height - _MARGIN)
-            for part in shapely.get_parts(block.outline.buffer(-_MARGIN, join_style="mitre")):
-                for piece in convex_pieces(part):
-                    ring = np.asarray(piece.exterior.coords)[:-1]
-                    result.append(np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for z in ends]))
-        return result
-
-    def _add_finger(self) -> int:
-        p, height = self._p, _FINGER_HEIGHT + FINGER_LENGTH / 2
-        shape = p.createCollisionShape(
-            p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **self._where
-        )
-        return finger_on_rails(p, self._where, shape, height, _FINGER, _BLOCKS)
+    def _sides(self) -> list[int]:
+        """Shapes of convex prisms, shrunk by the margin that Bullet adds."""
+        return [
+            self._bullet.prism(np.asarray(piece.exterior.coords)[:-1], block.height - MARGIN)
+            for block in self.true_object.blocks
+            for part in shapely.get_parts(block.outline.buffer(-MARGIN, join_style="mitre"))
+            for piece in convex_pieces(part)
+        ]
 
 
 def _groups(thing: TrueObject) -> list[list[int]]:
