@@ -302,7 +302,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's types: a record by its `to_json` or fields, null for numbers that are not finite."""
+    """The value in JSON's types: of a record its `to_json` or fields, of numbers that are not finite null."""
     if hasattr(value, "to_json"):
         value = value.to_json()
     elif is_dataclass(value):

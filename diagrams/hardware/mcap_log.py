@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import drake
 
@@ -25,22 +25,68 @@ _STAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
 _PLACE = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}
 _TURN = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyzw"}}
-_SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
-    "/arm": ("slipmap.Arm", {"position": _NUMBERS, "commanded": _NUMBERS, "external_torque": _NUMBERS}),
-    "/gripper": ("slipmap.Gripper", {"width": {"type": "number"}, "force": {"type": "number"}}),
-    "/camera": (
-        "foxglove.FrameTransform",
-        {"parent_frame_id": {"type": "string"}, "child_frame_id": {"type": "string"}, "translation": _PLACE,
-         "rotation": _TURN},
-    ),
-    "/depth": (
-        "foxglove.RawImage",
-        {"frame_id": {"type": "string"}, "width": {"type": "integer"}, "height": {"type": "integer"},
-         "encoding": {"type": "string"}, "step": {"type": "integer"},
-         "data": {"type": "string", "contentEncoding": "base64"}},
-    ),
+_TEXT = {"type": "string"}
+
+
+class _View(NamedTuple):
+    """What viewers see of the messages of a channel."""
+
+    name: str
+    schema: str
+    decode: Callable[[bytes], Any]
+    fields: Mapping[
+        str, tuple[dict[str, Any], Callable[[Any], Any]]
+    ]  # JSON schema, and value in what is decoded
+
+
+def _stamp(utime: int) -> dict[str, int]:
+    return {"sec": utime // 1_000_000, "nsec": 1000 * (utime % 1_000_000)}
+
+
+def _pose(data: bytes) -> Any:
+    """A signal of time and place, quaternion with the real part first."""
+    pose = drake.lcmt_drake_signal.decode(data)
+    x, y, z, qw, qx, qy, qz = pose.val
+    return pose.timestamp, {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
+
+
+def _depth(data: bytes) -> Any:
+    """Time, image and its unpacked pixels."""
+    message = drake.lcmt_image_array.decode(data)
+    (image,) = message.images
+    pixels = unpacked(image, min(image.row_stride * image.height, LARGEST))
+    return message.header.utime, image, base64.b64encode(pixels).decode()
+
+
+_VIEWS = {
+    network.IIWA_STATUS: _View("/arm", "slipmap.Arm", drake.lcmt_iiwa_status.decode, {
+        "timestamp": (_STAMP, lambda arm: _stamp(arm.utime)),
+        "position": (_NUMBERS, lambda arm: list(arm.joint_position_measured)),
+        "commanded": (_NUMBERS, lambda arm: list(arm.joint_position_commanded)),
+        "external_torque": (_NUMBERS, lambda arm: list(arm.joint_torque_external)),
+    }),
+    network.GRIPPER_STATUS: _View("/gripper", "slipmap.Gripper", drake.lcmt_schunk_wsg_status.decode, {
+        "timestamp": (_STAMP, lambda gripper: _stamp(gripper.utime)),
+        "width": ({"type": "number"}, lambda gripper: 1e-3 * gripper.actual_position_mm),
+        "force": ({"type": "number"}, lambda gripper: gripper.actual_force),
+    }),
+    network.CAMERA_POSE: _View("/camera", "foxglove.FrameTransform", _pose, {
+        "timestamp": (_STAMP, lambda pose: _stamp(pose[0])),
+        "parent_frame_id": (_TEXT, lambda pose: "world"),
+        "child_frame_id": (_TEXT, lambda pose: "camera"),
+        "translation": (_PLACE, lambda pose: pose[1]),
+        "rotation": (_TURN, lambda pose: pose[2]),
+    }),
+    network.CAMERA_DEPTH: _View("/depth", "foxglove.RawImage", _depth, {
+        "timestamp": (_STAMP, lambda depth: _stamp(depth[0])),
+        "frame_id": (_TEXT, lambda depth: "camera"),
+        "width": ({"type": "integer"}, lambda depth: depth[1].width),
+        "height": ({"type": "integer"}, lambda depth: depth[1].height),
+        "encoding": (_TEXT, lambda depth: "32FC1"),
+        "step": ({"type": "integer"}, lambda depth: depth[1].row_stride),
+        "data": ({"type": "string", "contentEncoding": "base64"}, lambda depth: depth[2]),
+    }),
 }  # fmt: skip
-"""Channels for viewers: name, name of the schema, and its fields in addition to `timestamp`."""
 
 
 class McapLog:
@@ -68,15 +114,18 @@ class McapLog:
         """Add an event as received, and its JSON for viewers."""
         self._add(event.channel, _RAW, 0, event, event.data)
         self._count += 1
+        view = _VIEWS.get(event.channel)
+        if view is None:
+            return
         with suppress(BadMessage, ValueError, IndexError):  # whatever came is kept above
-            for name, content in _seen(event):
-                kind, fields = _SCHEMAS[name]
-                if name not in self._channels:
-                    described = {"type": "object", "properties": {"timestamp": _STAMP, **fields}}
-                    schema = self._writer.register_schema(kind, "jsonschema", json.dumps(described).encode())
-                else:
-                    schema = 0
-                self._add(name, "json", schema, event, json.dumps(content).encode())
+            decoded = view.decode(event.data)
+            content = {name: value(decoded) for name, (_, value) in view.fields.items()}
+            schema = 0
+            if view.name not in self._channels:
+                fields = {name: described for name, (described, _) in view.fields.items()}
+                described = json.dumps({"type": "object", "properties": fields}).encode()
+                schema = self._writer.register_schema(view.schema, "jsonschema", described)
+            self._add(view.name, "json", schema, event, json.dumps(content).encode())
 
     def _add(self, name: str, encoding: str, schema: int, event: Event, data: bytes) -> None:
         if name not in self._channels:
@@ -87,64 +136,6 @@ class McapLog:
     def close(self) -> None:
         """Write the end of the log."""
         self._writer.finish()
-
-
-def _seen(event: Event) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Names and JSON contents that viewers see of a message."""
-    if event.channel == network.IIWA_STATUS:
-        arm = drake.lcmt_iiwa_status.decode(event.data)
-        yield (
-            "/arm",
-            {
-                "timestamp": _stamp(arm.utime),
-                "position": list(arm.joint_position_measured),
-                "commanded": list(arm.joint_position_commanded),
-                "external_torque": list(arm.joint_torque_external),
-            },
-        )
-    elif event.channel == network.GRIPPER_STATUS:
-        gripper = drake.lcmt_schunk_wsg_status.decode(event.data)
-        yield (
-            "/gripper",
-            {
-                "timestamp": _stamp(gripper.utime),
-                "width": 1e-3 * gripper.actual_position_mm,
-                "force": gripper.actual_force,
-            },
-        )
-    elif event.channel == network.CAMERA_POSE:
-        pose = drake.lcmt_drake_signal.decode(event.data)
-        x, y, z, qw, qx, qy, qz = pose.val
-        yield (
-            "/camera",
-            {
-                "timestamp": _stamp(pose.timestamp),
-                "parent_frame_id": "world",
-                "child_frame_id": "camera",
-                "translation": {"x": x, "y": y, "z": z},
-                "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
-            },
-        )
-    elif event.channel == network.CAMERA_DEPTH:
-        message = drake.lcmt_image_array.decode(event.data)
-        (image,) = message.images
-        pixels = unpacked(image, min(image.row_stride * image.height, LARGEST))
-        yield (
-            "/depth",
-            {
-                "timestamp": _stamp(message.header.utime),
-                "frame_id": "camera",
-                "width": image.width,
-                "height": image.height,
-                "encoding": "32FC1",
-                "step": image.row_stride,
-                "data": base64.b64encode(pixels).decode(),
-            },
-        )
-
-
-def _stamp(utime: int) -> dict[str, int]:
-    return {"sec": utime // 1_000_000, "nsec": 1000 * (utime % 1_000_000)}
 
 
 class McapReader:

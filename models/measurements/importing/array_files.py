@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,46 +36,64 @@ _BROKEN = (
 )  # fmt: skip
 """Errors that libraries raise on unexpected files."""
 
+_Items = Iterable[tuple[str, Any]]  # of a group, by name
+
+
+@contextmanager
+def _reading(where: str, kind: str, errors: tuple[type[Exception], ...]) -> Iterator[None]:
+    """Report errors of a library that reads a kind of file as DatasetError."""
+    try:
+        yield
+    except DatasetError:
+        raise
+    except errors as error:
+        shown = parsing.shown_error(error)
+        raise DatasetError(f"{where}: not readable as {kind} ({shown}); was the file cut short?") from None
+
+
+def _leaves(
+    items: _Items, inside: Callable[[Any], _Items | None], prefix: str = "", depth: int = 0
+) -> Iterator[tuple[str, Any]]:
+    """Items of nested groups by path; `inside` gives a group's own items, None for what is no group."""
+    for name, item in items:
+        own = inside(item)
+        if own is None:
+            yield f"{prefix}{name}", item
+        elif depth < _DEEPEST:
+            yield from _leaves(own, inside, f"{prefix}{name}/", depth + 1)
+
+
+def _of_numbers(item: Any) -> bool:
+    """Whether a library's array holds numbers, in one or two dimensions."""
+    return item.dtype.kind in "fiub" and 1 <= item.ndim <= 2
+
 
 def read_hdf5(path: Path, where: str) -> list[Source]:
-    """Tables of an HDF5 file, named after the paths inside it. Raises DatasetError."""
+    """Tables of an HDF5 file, named after the paths inside it, without links. Raises DatasetError."""
     import h5py
+
+    def inside(item: Any) -> _Items | None:
+        if not isinstance(item, h5py.Group):
+            return None
+        return (
+            (name, item[name]) for name in item if isinstance(item.get(name, getlink=True), h5py.HardLink)
+        )
 
     check_size(path, where)
     found: dict[str, FloatArray] = {}
-    try:
-        with h5py.File(path, "r") as file:
-            for name, item in _hdf5_items(file):
+    with _reading(where, "HDF5", _BROKEN), h5py.File(path, "r") as file:
+        for name, item in _leaves(inside(file) or (), inside):
+            if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+                continue
+            if item.dtype.names and 1 <= item.ndim <= 2:
                 _refuse_size(item.size or 0, f"{where}, {name}")
-                if item.dtype.names:
-                    fields = [field for field in item.dtype.names if item.dtype[field].kind in "fiub"]
-                    values = item[...]
-                    found |= {f"{name}/{field}": _array(values[field]) for field in fields}
-                else:
-                    found[name] = _array(item[...])
-    except DatasetError:
-        raise
-    except _BROKEN as error:
-        raise _unreadable(where, "HDF5", error) from None
+                values = item[...]
+                fields = [field for field in item.dtype.names if item.dtype[field].kind in "fiub"]
+                found |= {f"{name}/{field}": _array(values[field]) for field in fields}
+            elif _of_numbers(item):
+                _refuse_size(item.size or 0, f"{where}, {name}")
+                found[name] = _array(item[...])
     return _tables(where, found, "HDF5")
-
-
-def _hdf5_items(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Arrays of numbers in an HDF5 file, without following links."""
-    import h5py
-
-    if depth > _DEEPEST:
-        return
-    for name in group:
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            continue
-        item, path = group[name], f"{prefix}{name}"
-        if isinstance(item, h5py.Group):
-            yield from _hdf5_items(item, f"{path}/", depth + 1)
-        elif isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external):
-            numbers = item.dtype.kind in "fiub" or bool(item.dtype.names)
-            if numbers and 1 <= item.ndim <= 2:
-                yield path, item
 
 
 def read_matlab(path: Path, where: str) -> list[Source]:
@@ -87,22 +106,17 @@ def read_matlab(path: Path, where: str) -> list[Source]:
     from scipy.io import loadmat
 
     _refuse_exploding_matlab(path, where)
-    try:
-        document = loadmat(path, simplify_cells=True)
-        found = dict(_matlab_arrays({k: v for k, v in document.items() if not k.startswith("__")}))
-    except DatasetError:
-        raise
-    except Exception as error:  # scipy's reader can raise anything on broken bytes
-        raise _unreadable(where, "MATLAB", error) from None
+    # scipy's reader can raise anything on broken bytes
+    with _reading(where, "MATLAB", (Exception,)):
+        variables = loadmat(path, simplify_cells=True).items()
+        own = [(name, value) for name, value in variables if not name.startswith("__")]
+        leaves = _leaves(own, lambda value: value.items() if isinstance(value, dict) else None)
+        found = {
+            name: _array(value)
+            for name, value in leaves
+            if isinstance(value, np.ndarray) and _of_numbers(value)
+        }
     return _tables(where, found, "MATLAB")
-
-
-def _matlab_arrays(document: Mapping[str, Any], prefix: str = "", depth: int = 0) -> Iterator[Any]:
-    for name, value in document.items():
-        if isinstance(value, dict) and depth < _DEEPEST:
-            yield from _matlab_arrays(value, f"{prefix}{name}/", depth + 1)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and 1 <= value.ndim <= 2:
-            yield f"{prefix}{name}", _array(value)
 
 
 def _refuse_exploding_matlab(path: Path, where: str) -> None:
@@ -115,12 +129,10 @@ def _refuse_exploding_matlab(path: Path, where: str) -> None:
         size = int.from_bytes(content[place + 4 : place + 8], order)  # type: ignore[arg-type]
         if kind == 15:  # miCOMPRESSED
             stream, rest = zlib.decompressobj(), content[place + 8 : place + 8 + size]
-            try:
+            with _reading(where, "MATLAB", (zlib.error,)):
                 while rest and unpacked <= 8 * MOST_NUMBERS:
                     unpacked += len(stream.decompress(rest, 2**20))
                     rest = stream.unconsumed_tail
-            except zlib.error as error:
-                raise _unreadable(where, "MATLAB", error) from None
             _refuse_size(unpacked // 8, where)
         place += 8 + size
 
@@ -140,24 +152,16 @@ def read_zarr(path: Path, where: str) -> list[Source]:
             if "pickle" in json.dumps(said, ensure_ascii=True):
                 raise DatasetError(f"{where}: contains pickles, which can run code; write plain arrays")
     found: dict[str, FloatArray] = {}
-    try:
-        for name, item in _zarr_items(zarr.open_group(str(path), mode="r"), zarr):
-            _refuse_size(math.prod(item.shape), f"{where}, {name}")
-            found[name] = _array(item[...])
-    except DatasetError:
-        raise
-    except Exception as error:  # any library that unpacks chunks can raise its own
-        raise _unreadable(where, "zarr", error) from None
+    # any library that unpacks chunks can raise its own
+    with _reading(where, "zarr", (Exception,)):
+        groups = zarr.open_group(str(path), mode="r").members()
+        for name, item in _leaves(
+            groups, lambda item: item.members() if isinstance(item, zarr.Group) else None
+        ):
+            if _of_numbers(item):
+                _refuse_size(math.prod(item.shape), f"{where}, {name}")
+                found[name] = _array(item[...])
     return _tables(where, found, "zarr")
-
-
-def _zarr_items(group: Any, zarr: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    for name, item in group.members():
-        if isinstance(item, zarr.Group):
-            if depth < _DEEPEST:
-                yield from _zarr_items(item, zarr, f"{prefix}{name}/", depth + 1)
-        elif item.dtype.kind in "fiub" and 1 <= item.ndim <= 2:
-            yield f"{prefix}{name}", item
 
 
 def read_parquet(path: Path, where: str) -> list[Source]:
@@ -171,16 +175,18 @@ def read_parquet(path: Path, where: str) -> list[Source]:
         raise missing_library(where, "pyarrow") from None
     check_size(path, where)
     columns: dict[str, Column] = {}
-    try:
+    with _reading(where, "parquet", (ArrowException, *_BROKEN)):
         file = parquet.ParquetFile(path)
         rows = file.metadata.num_rows
         _refuse_size(rows * file.metadata.num_columns, where)
         for name in file.schema_arrow.names:
             kind = file.schema_arrow.field(name).type
-            if not _holds_numbers(kind, types):
+            lists = types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+            of = kind.value_type if lists else kind
+            if not (types.is_integer(of) or types.is_floating(of) or types.is_boolean(of)):
                 continue
             cells = file.read(columns=[name]).column(name).combine_chunks()
-            if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+            if lists:
                 values = np.asarray(cells.flatten().to_numpy(zero_copy_only=False), dtype=float)
                 width = len(values) // rows if rows else 0
                 if cells.null_count or width * rows != len(values):
@@ -189,21 +195,11 @@ def read_parquet(path: Path, where: str) -> list[Source]:
                     columns[f"{name}.{number}"] = values.reshape(rows, width)[:, number]
             else:
                 columns[name] = np.asarray(cells.to_numpy(zero_copy_only=False), dtype=float)
-    except DatasetError:
-        raise
-    except (ArrowException, *_BROKEN) as error:
-        raise _unreadable(where, "parquet", error) from None
     if not columns:
         raise DatasetError(f"{where}: contains no columns of numbers")
     time = columns.get("timestamp")
     push = "episode_index" if "episode_index" in columns else ""
     return [Source(where, "", columns, None if time is None else np.asarray(time, dtype=float), push=push)]
-
-
-def _holds_numbers(kind: Any, types: Any) -> bool:
-    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
-        kind = kind.value_type
-    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind))
 
 
 def _array(values: Any) -> FloatArray:
@@ -226,9 +222,3 @@ def _tables(where: str, found: Mapping[str, FloatArray], kind: str) -> list[Sour
 def _refuse_size(numbers: int, where: str) -> None:
     if numbers > MOST_NUMBERS:
         raise DatasetError(f"{where}: has {numbers} numbers, but at most {MOST_NUMBERS} are read")
-
-
-def _unreadable(where: str, kind: str, error: Exception) -> DatasetError:
-    return DatasetError(
-        f"{where}: not readable as {kind} ({parsing.shown_error(error)}); was the file cut short?"
-    )

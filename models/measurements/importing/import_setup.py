@@ -100,9 +100,7 @@ def parse_import_setup(
             in a transform would make all numbers wrong.
     """
     known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv", "heldout"}
-    unknown = parsing.unknown_keys(document, known, where)
-    if unknown:
-        raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
+    _refuse_unknown(document, known, where)
     told = {key: value for key, value in (described or {}).items() if key in (*SETUP_KEYS, "csv")}
     document = document | {key: _filled(document.get(key), value) for key, value in told.items()}
     setup, warnings = parse_setup(document, where, default_name)
@@ -116,7 +114,7 @@ def parse_import_setup(
         said = parsing.mapping(document.get(name, {}), place)
         found = _channel(name, shared | said, place)
         if "unit" in shared:
-            of_all = _unit(shared["unit"], f"{where}: unit", name == "ft_wrench")["unit"]
+            of_all = _unit(shared["unit"], f"{where}: unit", name == "ft_wrench")
             found = replace(found, unit={**of_all, **found.unit})
         usual, unit = _usual(name, columns)
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
@@ -128,6 +126,12 @@ def parse_import_setup(
     if heldout is not None and not (isinstance(heldout, list) and all(isinstance(n, str) for n in heldout)):
         raise DatasetError(f"{where}: heldout must be a list of pushes' names, got {parsing.shown(heldout)}")
     return ImportSetup(setup, channels, None if heldout is None else tuple(heldout), tuple(warnings))
+
+
+def _refuse_unknown(entry: dict[str, Any], known: set[str], where: str) -> None:
+    unknown = parsing.unknown_keys(entry, known, where)
+    if unknown:
+        raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
 
 
 def _filled(said: object, described: object) -> object:
@@ -154,21 +158,23 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
     force = name == "ft_wrench"
     columns = ("force", "torque") if force else ("position", "angle", "quaternion", "rotation_vector")
     allowed = {*_SHARED, "part", "sign", "offset", "clock", *columns}
-    unknown = parsing.unknown_keys(entry, allowed, where)
-    if unknown:
-        raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
+    _refuse_unknown(entry, allowed, where)
     turns = [key for key in columns[1:] if key in entry]
     if not force and len(turns) > 1:
         raise DatasetError(f"{where}: gives {' and '.join(turns)}; give the rotation only once")
     found: dict[str, Any] = {}
     for key, value in entry.items():
         place = f"{where}.{key}"
-        if key in ("source", "part", "push"):
-            found[key] = _name(value, place)
-        elif key in _COUNTS:
+        if key in _COUNTS:
             found[key] = _names(value, _COUNTS[key], place)
+        elif key == "frame" and value == CONTACT:
+            found["turned_by_contact"] = True
+        elif key == "clock" and value == CONTACT:
+            found[key] = CONTACT
+        elif key in ("unit", "offset"):
+            found[key] = (_unit if key == "unit" else _offset)(value, place, force)
         else:
-            found |= _OTHERS[key](value, place, force)
+            found[key] = _OTHERS[key](value, place)
     if name == "object_pose" and found.get("clock") == CONTACT:
         raise DatasetError(f"{where}.clock: the object's clock is the reference for the others; leave it out")
     if "turned_by_contact" in found and not force:
@@ -198,11 +204,7 @@ def _names(value: object, counts: Sequence[int], where: str) -> tuple[str, ...]:
     return tuple(_name(one, where) for one in listed)
 
 
-def _rate(value: object, where: str, force: bool) -> dict[str, Any]:
-    return {"rate": _RATE.read(value, where)}
-
-
-def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
+def _unit(value: object, where: str, force: bool) -> dict[str, float]:
     """Units by quantity; a single unit is that of the position or of the force."""
     if isinstance(value, str):
         kinds = ("force",) if force and value in UNITS["force"] else ("position",)
@@ -217,19 +219,17 @@ def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
             place = where if isinstance(value, str) else f"{where}.{kind}"
             raise DatasetError(f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}")
         result[kind] = UNITS[kind][unit]
-    return {"unit": result}
+    return result
 
 
-def _up(value: object, where: str, force: bool) -> dict[str, Any]:
+def _up(value: object, where: str) -> object:
     if value not in UPWARD:
         raise DatasetError(f"{where}: must be one of {', '.join(UPWARD)}, got {parsing.shown(value)}")
-    return {"up": value}
+    return value
 
 
-def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
+def _frame(value: object, where: str) -> FloatArray:
     """A frame from x, y and an angle; from x, y, z and a quaternion; or from a matrix of four rows."""
-    if value == CONTACT:
-        return {"turned_by_contact": True}
     if not isinstance(value, list):
         raise DatasetError(
             f"{where}: give the pose of the source's frame in the table's as [x, y, theta], m and rad (or"
@@ -257,7 +257,7 @@ def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
         raise DatasetError(
             f"{where}: is not a pose; its rotation needs orthogonal rows of length 1, right-handed"
         )
-    return {"frame": pose}
+    return pose
 
 
 def _angle(value: object, where: str) -> float:
@@ -271,27 +271,26 @@ def _angle(value: object, where: str) -> float:
         raise DatasetError(f"{where}: {parsing.shown(value)} is not an angle") from None
 
 
-def _sign(value: object, where: str, force: bool) -> dict[str, Any]:
+def _sign(value: object, where: str) -> float:
     if value not in (1, -1) or isinstance(value, bool):
         raise DatasetError(f"{where}: must be 1 or -1, got {parsing.shown(value)}")
-    return {"sign": float(value)}
+    return float(value)
 
 
-def _offset(value: object, where: str, force: bool) -> dict[str, Any]:
+def _offset(value: object, where: str, force: bool) -> FloatArray:
     if not isinstance(value, list) or len(value) not in (2, 3):
         said = "[fx, fy], N" if force else "[x, y], [x, y, theta] of the object or [x, y, z] of the finger, m"
         raise DatasetError(f"{where}: must be {said}, got {parsing.shown(value)}")
     numbers = [parsing.number(one, where) for one in value[:2]]
-    return {"offset": np.array([*numbers, *(_angle(one, where) for one in value[2:])])}
+    return np.array([*numbers, *(_angle(one, where) for one in value[2:])])
 
 
-def _clock(value: object, where: str, force: bool) -> dict[str, Any]:
-    if value == CONTACT:
-        return {"clock": CONTACT}
-    return {"clock": parsing.number(value, f"{where} (s to add to the stamps, or contact)")}
+def _clock(value: object, where: str) -> float:
+    return parsing.number(value, f"{where} (s to add to the stamps, or contact)")
 
 
-_OTHERS: Mapping[str, Callable[[object, str, bool], dict[str, Any]]] = {
-    "rate": _rate, "unit": _unit, "up": _up, "frame": _frame, "sign": _sign, "offset": _offset,
-    "clock": _clock,
+_OTHERS: Mapping[str, Callable[[object, str], object]] = {
+    "source": _name, "part": _name, "push": _name, "rate": _RATE.read, "up": _up, "frame": _frame,
+    "sign": _sign, "clock": _clock,
 }  # fmt: skip
+"""Readers of the keys that all channels read alike, given value and place."""
