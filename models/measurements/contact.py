@@ -156,8 +156,7 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
     Args:
         after: (k,) the row of the pose that follows each time.
     """
-    reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
-    velocity = np.diff(pose.values * [1.0, 1.0, reach], axis=0) / np.diff(pose.time)[:, None]
+    velocity = np.diff(pose.values * [1.0, 1.0, setup.reach], axis=0) / np.diff(pose.time)[:, None]
     change = np.linalg.norm(np.diff(velocity, axis=0, prepend=0.0, append=0.0), axis=1)
     before, behind = change[after - 1], change[after]
     step = pose.time[after] - pose.time[after - 1]
@@ -176,7 +175,7 @@ def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
     late = np.minimum(time + 0.5 * window, pose.time[-1])
     early = np.maximum(time - 0.5 * window, pose.time[0])
     step = pose.at(late) - pose.at(early)
-    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    reach = 0.5 * setup.reach
     moved = np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])
     position, angle = pose_noise(setup, pose)
     noise = float(np.hypot(position, reach * angle))

@@ -18,6 +18,7 @@ from slipmap.models.measurements.contact import (
     ContactRows,
     contact_rows,
     force_complaint,
+    gaps,
     normals_and_forces,
 )
 from slipmap.models.measurements.importing.clocks import (
@@ -190,14 +191,12 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             for trial in dataset.trials
             if name == "object_pose" and not trial.ends_only and _longest_blind_motion(trial) > _GAP
         ]
+        advice = ""
         if rate < _SLOW_RATE:
             advice = f"below {_SLOW_RATE:g} Hz, touch and release are hard to see; record at a higher rate"
-            findings.append(Finding(f"rate of {words}", text, "note", advice))
         elif blind:
             advice = f"no pose for more than {1e3 * _GAP:.0f} ms of motion in {parsing.listed(blind)}"
-            findings.append(Finding(f"rate of {words}", text, "note", advice))
-        else:
-            findings.append(Finding(f"rate of {words}", text, "good"))
+        findings.append(Finding(f"rate of {words}", text, "note" if advice else "good", advice))
     return findings
 
 
@@ -277,14 +276,11 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
     if late:
         force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
         lag = lag_by_rises(late, force)
-        text = (
-            f"force {_late(lag.value)} relative to the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
-        )
+        touches = f"± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        text = f"force {_late(lag.value)} relative to the touch, {touches}"
         sure = lag.sure and abs(lag.value) > _FORCE_LATE
-        findings.append(
-            Finding("clock of the force", text, "note" if sure else "good",
-                    f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure else "")
-        )  # fmt: skip
+        advice = f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure else ""
+        findings.append(Finding("clock of the force", text, "note" if sure else "good", advice))
     return findings
 
 
@@ -382,15 +378,11 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         off = angle_between(force, normal)
         middle = float(np.median(np.abs(off)))
         text = f"median {np.degrees(middle):.0f}° off the contact normal over {len(force)} rows"
+        turned = "is its frame rotated? Fingers seldom have this much friction"
         complaint = force_complaint(dataset, rows)
-        if complaint is not None:
-            findings.append(Finding("force's direction", text, "wrong", complaint))
-        else:
-            unusual = middle > _OFF_NORMAL
-            findings.append(
-                Finding("force's direction", text, "note" if unusual else "good",
-                        "is its frame rotated? Fingers seldom have this much friction" if unusual else "")
-            )  # fmt: skip
+        advice = complaint or (turned if middle > _OFF_NORMAL else "")
+        verdict = "wrong" if complaint else "note" if advice else "good"
+        findings.append(Finding("force's direction", text, verdict, advice))
     return findings
 
 
@@ -398,7 +390,6 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
 
 
 def _coverage(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
-    reach = float(np.max(np.hypot(*dataset.grid.exterior.T)))
     boundary = dataset.grid.polygon.exterior
     arcs: set[int] = set()
     for one in rows:
@@ -414,7 +405,7 @@ def _coverage(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
         pose = trial.object_pose
         way = pose.values[-1, :2] - pose.values[0, :2]
         turn = float(pose.values[-1, 2] - pose.values[0, 2])
-        if np.hypot(*way) + reach * abs(turn) < _COASTS:
+        if np.hypot(*way) + dataset.reach * abs(turn) < _COASTS:
             continue
         moved += 1
         turns.append(abs(turn))
@@ -445,8 +436,6 @@ def _coasted(dataset: PushDataset, trial: Trial) -> bool:
         return True
     if not trial.has_finger:
         return False
-    from slipmap.models.measurements.contact import gaps
-
     pose = trial.object_pose
     free = gaps(dataset, trial.tip_pose.at(pose.time), pose.values) > _AWAY
     steps = np.hypot(*np.diff(pose.values[:, :2], axis=0).T)

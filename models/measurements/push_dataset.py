@@ -210,6 +210,13 @@ class Table:
         half = 0.5 * np.array(self.size)
         return shapely.box(*(self.center - half), *(self.center + half))
 
+    def margin(self, points: FloatArray) -> FloatArray:
+        """(…) how far points (…, 2) lie inside the rim, m; negative beyond it."""
+        off = points - np.asarray(self.center)
+        if self.size is None:
+            return np.asarray((self.radius or 0.0) - np.hypot(off[..., 0], off[..., 1]))
+        return np.asarray((0.5 * np.array(self.size) - np.abs(off)).min(axis=-1))
+
 
 @dataclass(frozen=True, eq=False)
 class KnownMaps:
@@ -329,6 +336,16 @@ class Setup:
     noise: Noise  # standard deviations, where known
     known: KnownMaps | None = field(default=None, kw_only=True)  # of the maps, before any push
     finger_height: float | None = field(default=None, kw_only=True)  # of its lower end above the table, m
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the outline from the object frame's origin, m."""
+        return float(np.max(np.hypot(*self.grid.exterior.T)))
+
+    @property
+    def noise_of_motion(self) -> float:
+        """Standard deviation of a point at the outline due to the declared noise of a pose, m."""
+        return float(np.hypot(self.noise.position or 0.0, self.reach * (self.noise.angle or 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """Cut recordings of a whole session: an object that moves while the finger is away was carried by someone."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ def carries(setup: Setup, trial: Trial) -> list[Carry]:
     if not runs:
         return []
     found = []
-    pose, reach = trial.object_pose, _reach(setup)
+    pose, reach = trial.object_pose, setup.reach
     gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values)
     if all(gap[first] > _AWAY for first, _ in runs):
         return []  # nothing was pushed: the finger is in another frame
@@ -65,11 +66,11 @@ def _motions(
     pose = trial.object_pose
     if trial.ends_only or len(pose.time) < _FEWEST_ROWS:
         return []
-    reach = _reach(setup)
+    reach = setup.reach
     middle = 0.5 * (pose.time[1:] + pose.time[:-1])
     step = _displacement(pose.values[1:], pose.values[:-1], reach)
     around = _displacement(pose.at(middle + 0.5 * window), pose.at(middle - 0.5 * window), reach)
-    steps = np.flatnonzero((step > _CARRIED) | (around > speed * window + 4.0 * _noise(setup, reach)))
+    steps = np.flatnonzero((step > _CARRIED) | (around > speed * window + 4.0 * setup.noise_of_motion))
     if len(steps) == 0:
         return []
     pauses = pose.time[steps[1:]] - pose.time[steps[:-1] + 1]
@@ -89,7 +90,7 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
     Raises:
         DatasetError: nothing is left of a trial.
     """
-    reach = _reach(setup)
+    reach = setup.reach
     result: list[Trial] = []
     warnings = []
     for trial in trials:
@@ -109,7 +110,7 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
             + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
             + f"; the recording was cut there into {len(pushes)} pushes"
         )
-        result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
+        result += [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings
 
 
@@ -120,7 +121,7 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
     so on. A recording of one push is returned unchanged.
     """
     runs = _motions(setup, trial, *_SLOW) if trial.has_finger else []
-    pose, reach = trial.object_pose, _reach(setup)
+    pose, reach = trial.object_pose, setup.reach
     gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values) if len(runs) > 1 else np.zeros(0)
     pushes: list[tuple[int, int]] = []
     for first, last in runs:
@@ -145,11 +146,7 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
         )
         if piece is not None:
             found.append(piece)
-    return [_named(push, f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
-
-
-def _named(trial: Trial, name: str) -> Trial:
-    return Trial(name, trial.role, trial.object_pose, trial.tip_pose, trial.ft_wrench)
+    return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
 
 
 def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | None:
@@ -172,11 +169,3 @@ def _displacement(one: FloatArray, other: FloatArray, reach: float) -> FloatArra
     """(…) distance that a point at the outline moves from one pose (…, 3) to another, m."""
     shift = np.hypot(one[..., 0] - other[..., 0], one[..., 1] - other[..., 1])
     return np.asarray(shift + reach * np.abs(angle_between(one[..., 2], other[..., 2])))
-
-
-def _reach(setup: Setup) -> float:
-    return float(np.max(np.hypot(*setup.grid.exterior.T)))
-
-
-def _noise(setup: Setup, reach: float) -> float:
-    return float(np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0)))

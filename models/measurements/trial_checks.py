@@ -490,15 +490,13 @@ def _moved(setup: Setup, trial: Trial) -> bool:
 def _shifts(setup: Setup, trial: Trial) -> FloatArray:
     """(T,) largest displacement of a point of the outline since the first pose, m."""
     pose = trial.object_pose.values
-    reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
-    shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + reach * np.abs(pose[:, 2] - pose[0, 2])
+    shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + setup.reach * np.abs(pose[:, 2] - pose[0, 2])
     return np.asarray(shift)
 
 
 def _least_motion(setup: Setup, least: float) -> float:
     """Displacement, m, that is no noise: the least, or five standard deviations."""
-    reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
-    return max(least, 5.0 * float(np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))))
+    return max(least, 5.0 * setup.noise_of_motion)
 
 
 def _clearance(setup: Setup, trial: Trial) -> float:

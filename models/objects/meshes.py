@@ -231,8 +231,7 @@ def _unfolded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         level = (np.abs(flat[:, 2]) < _LEVEL * mesh.scale)[faces].all(axis=1) & whole
         whole &= ~level
         cut = _net_area(faces[level], flat[:, :2])
-        raised = np.concatenate([cut, np.zeros((*cut.shape[:2], 1))], axis=2)
-        added.append(raised @ basis + vertices[faces[face, 0]])
+        added.append(np.insert(cut, 2, 0.0, axis=2) @ basis + vertices[faces[face, 0]])
     if sum(map(len, added)) == 0:
         return mesh
     corners = np.concatenate([vertices[faces[whole]], *added]).reshape(-1, 3)
@@ -282,9 +281,6 @@ def _net_area(faces: NDArray[np.integer], points: FloatArray) -> FloatArray:
     return np.concatenate(found)
 
 
-# Links of URDF and SDF files.
-
-
 def _linked(path: Path) -> trimesh.Trimesh:
     """The only link with geometry of a URDF or SDF, in its own frame, m: its visuals, else its collisions.
 
@@ -305,18 +301,15 @@ def _linked(path: Path) -> trimesh.Trimesh:
         names = ", ".join(str(link.get("name")) for link in links) or "none"
         raise ValueError(f"needs one link with geometry, the object; found {names}; leave the others out")
     shapes = links[0].findall("visual") or links[0].findall("collision")
-    parts = [_shape(shape, path) for shape in shapes]
-    merged = trimesh.util.concatenate(parts)
+    merged = trimesh.util.concatenate([_shape(shape, path) for shape in shapes])
     merged.units = "meters"
     return merged
 
 
 def _shape(shape: Xml.Element, path: Path) -> trimesh.Trimesh:
     """The mesh of a visual or collision in the link's frame, m."""
-    geometry = shape.find("geometry")
-    kinds = [] if geometry is None else list(geometry)
-    kind = kinds[0].tag if kinds else "nothing"
-    made = kinds[0] if kinds else shape
+    found = shape.find("geometry/*")
+    kind, made = ("nothing", shape) if found is None else (found.tag, found)
     if kind == "mesh":
         if made.find("submesh") is not None:
             raise ValueError("a submesh is not read; export it as its own file")
@@ -558,8 +551,7 @@ def plainly_coloured(mesh: trimesh.Trimesh, colour: ArrayLike) -> trimesh.Trimes
 
 def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
     """(k,) largest z of a mesh over each point (k, 2), m; NaN where there is no mesh."""
-    corners = np.asarray(mesh.triangles)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a, b, c = np.asarray(mesh.triangles).transpose(1, 0, 2)
     e, f = b - a, c - a
     area = cross(e, f)
     flat = np.abs(area) > 1e-14
@@ -572,8 +564,7 @@ def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
 
 
 def _cap(section: BaseGeometry, z: float) -> FloatArray:
-    flat = _triangles(section)
-    return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], axis=2)
+    return np.insert(_triangles(section), 2, z, axis=2)
 
 
 def _wall(section: BaseGeometry, z0: float, z1: float) -> FloatArray:

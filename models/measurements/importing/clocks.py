@@ -104,7 +104,7 @@ def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
 
     Speeds are taken over the shortest span in which the motion exceeds the noise of the rows.
     """
-    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    reach = 0.5 * setup.reach
     noise = _row_noise(pose, reach)
     for span in _SPANS:
         step = pose.at(pose.time + 0.5 * span) - pose.at(pose.time - 0.5 * span)
@@ -207,7 +207,7 @@ def _refined(
     rows = _telling(moving, count)
     # Stamps since 1970 lack the precision for the small steps below.
     near = Channel(tip.time + lag, tip.values)
-    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    reach = 0.5 * setup.reach
     sigmas = (setup.noise.position or 0.0, setup.noise.tip or 0.0, reach * (setup.noise.angle or 0.0))
     time, poses = pose.time[moving], pose.values[moving]
     scatter = float(row_noise(time, gaps(setup, near.at(time), poses)[:, None])[0])
