@@ -189,10 +189,7 @@ def foresee(
 def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
     """(…) whether a disc around the object at poses (…, 3) lies entirely on the table."""
     size = np.linalg.norm(grid.exterior, axis=1).max()
-    off = poses[..., :2] - np.asarray(table.center)
-    if table.shape == "round":
-        return np.hypot(off[..., 0], off[..., 1]) + size <= (table.radius or 0.0)
-    return (np.abs(off) + size <= np.asarray(table.size) / 2).all(axis=-1)
+    return table.margin(poses[..., :2]) >= size
 
 
 def least_margins(belief: Belief, settings: PushSettings) -> FloatArray:

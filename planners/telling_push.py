@@ -27,7 +27,7 @@ import shapely
 
 from slipmap.models.effects import LIBRARY, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
-from slipmap.models.geometry import angle_between, turn
+from slipmap.models.geometry import angle_between, placed, turn
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.results import Diagnosis, parameter_estimates
 from slipmap.models.inference.error_model import ErrorModel
@@ -335,16 +335,11 @@ def _place(habits: Habits, move: FloatArray, rng: np.random.Generator) -> FloatA
 
 
 def _on_table(proposal: Instruction, dataset: PushDataset) -> bool:
-    table = dataset.table
-    if table is None:
+    if dataset.table is None:
         return True
-    way = proposal.end - proposal.begin
-    corners = dataset.grid.exterior @ turn(proposal.pose[2]).T + proposal.pose[:2]
-    points = np.vstack([corners, corners + way]) - np.asarray(table.center)
-    if table.radius is not None:
-        return bool((np.hypot(*points.T) < table.radius).all())
-    assert table.size is not None
-    return bool((np.abs(points) < 0.5 * np.asarray(table.size)).all())
+    corners = placed(dataset.grid.exterior, proposal.pose)
+    points = np.vstack([corners, corners + proposal.end - proposal.begin])
+    return bool((dataset.table.margin(points) > 0.0).all())
 
 
 def _question(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> Question:

@@ -94,11 +94,7 @@ def place_of(start: FloatArray, end: FloatArray, grid: CellGrid, table: Table) -
 
 def _sticks_out(pose: FloatArray, grid: CellGrid, table: Table) -> bool:
     """Whether the centre of any cell is beyond the rim."""
-    off = placed(grid.centers, pose) - np.asarray(table.center)
-    if table.radius is not None:
-        return bool((np.hypot(*off.T) > table.radius).any())
-    assert table.size is not None
-    return bool((np.abs(off) > np.asarray(table.size) / 2).any())
+    return bool((table.margin(placed(grid.centers, pose)) < 0.0).any())
 
 
 def _told(push: Prediction, grid: CellGrid, table: Table) -> dict[str, Any]:

@@ -181,11 +181,8 @@ class DirectWorld(ABC):
 
     def _inside(self) -> bool:
         """Whether the whole footprint lies on the table."""
-        corners = placed(self.true_object.grid.exterior, self._seen) - np.asarray(self.table.center)
-        if self.table.radius is not None:
-            return bool((np.hypot(*corners.T) < self.table.radius).all())
-        assert self.table.size is not None
-        return bool((np.abs(corners) < 0.5 * np.asarray(self.table.size)).all())
+        corners = placed(self.true_object.grid.exterior, self._seen)
+        return bool((self.table.margin(corners) > 0.0).all())
 
     @property
     @abstractmethod
