@@ -445,22 +445,19 @@ def check_joints(motion: Trajectory) -> None:
             )
 
 
-def find_way(
-    start: FloatArray, goal: FloatArray, is_clear: Callable[[FloatArray], bool], what: str
-) -> FloatArray:
+def find_way(start: FloatArray, goal: FloatArray, is_clear: Callable[[FloatArray], bool]) -> FloatArray:
     """Vertices (m, 7) of a polyline of joint angles from start to goal, both included, by RRT-Connect.
 
     Args:
         start, goal: (7,) rad.
         is_clear: whether the arm may be at a posture (7,), rad.
-        what: description of the path, for the message.
 
     Raises:
         MotionRefused: none is found, or an end is not clear.
     """
     for q in (start, goal):
         if not is_clear(q):
-            raise MotionRefused(f"no path {what}: the arm would be too close to something at one end")
+            raise MotionRefused("no path to the object: the arm would be too close to something at one end")
     space = base.RealVectorStateSpace(7)
     bounds = base.RealVectorBounds(7)
     for k, limit in enumerate(POSITION_LIMITS):
@@ -488,7 +485,7 @@ def find_way(
     left = iter(range(500))
     setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
     if not setup.haveExactSolutionPath():
-        raise MotionRefused(f"no path {what} was found around table, stand and object")
+        raise MotionRefused("no path to the object was found around table, stand and object")
     path = setup.getSolutionPath()
     simplifier = geometric.PathSimplifier(information)
     simplifier.reduceVertices(path)

@@ -149,9 +149,7 @@ class ArmPlanner:
         for posture in sorted(place.postures(q), key=lambda posture: float(np.abs(posture - q).max())):
             try:
                 comes, lifts = place.lines(posture)
-                way = find_way(
-                    q, comes[0], lambda at: clearance.of(at, opening, place.obstacle) > CLEAR, "to the object"
-                )
+                way = find_way(q, comes[0], lambda at: clearance.of(at, opening, place.obstacle) > CLEAR)
             except MotionRefused as refusal:
                 refusals.append(refusal)
                 continue

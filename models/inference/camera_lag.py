@@ -34,7 +34,7 @@ class CameraLag:
         return {**vars(self), "shown": self.shown}
 
 
-def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None = None) -> CameraLag | None:
+def camera_lag(dataset: PushDataset, progress: Progress | None = None) -> CameraLag | None:
     """Learn the maps and the effect `sensor_latency` together from all pushes; None if they cannot show it.
 
     The lag shows where the object was seen while the finger pushed: its first motion, and any change of
@@ -42,7 +42,6 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
 
     Args:
         dataset: measured pushes.
-        seed: of the refits.
         progress: called with (stage, done, total).
     """
     trials = tuple(replace(trial, role="fit") for trial in dataset.trials if not trial.ends_only)
@@ -51,9 +50,7 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
     try:
         # The spread comes from refits, which take most of the time; eight are enough.
         pushes = replace(dataset, trials=trials)
-        found = identify(
-            pushes, [SensorLatency()], hypotheses=8, seed=seed, progress=progress, friction_laws=False
-        )
+        found = identify(pushes, [SensorLatency()], hypotheses=8, progress=progress, friction_laws=False)
     except DatasetError:
         return None
     latency = next(q for q in found.quantities if q.name == "sensor_latency: latency")

@@ -100,9 +100,9 @@ class EndRegion:
         """Whether a point (n,) lies inside the region of a level."""
         return self.rarity(point) >= 1.0 - level
 
-    def excess(self, point: FloatArray, level: float = LEVEL) -> float:
+    def excess(self, point: FloatArray) -> float:
         """Distance of a point (n,) from the centre over that of the region's boundary in its direction."""
-        return float(np.sqrt(self._distance(point) / fdtri(len(self.middle), self.freedom, level)))
+        return float(np.sqrt(self._distance(point) / fdtri(len(self.middle), self.freedom, LEVEL)))
 
     def _distance(self, point: FloatArray) -> float:
         off = np.asarray(point, dtype=float) - self.middle

@@ -44,12 +44,7 @@ def run_benchmark(
         first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `_time_rollouts`;
         `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
         results of `growth.measure`.
-
-    Raises:
-        ValueError: a number below 1.
     """
-    if repeats < 1:
-        raise ValueError(f"benchmark: repeats must be at least 1, got {repeats}")
     report = progress or silent
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
     report("slipmap", 0, 1)

@@ -71,7 +71,7 @@ class PlantWorld(DirectWorld):
         plant.Finalize()
         if hidden is not None:
             add_hidden_effects(builder, plant, true_object, hidden)
-        self._path = builder.AddSystem(TrajectorySource(_standing(_AWAY), 1))
+        self._path = builder.AddSystem(TrajectorySource(PiecewisePolynomial(_AWAY[:, None]), 1))
         builder.Connect(self._path.get_output_port(), plant.get_desired_state_input_port(self._finger))
         # All rows are logged in the engine: nothing of a push runs in Python.
         self._states = builder.AddSystem(VectorLogSink(plant.num_multibody_states()))
@@ -146,7 +146,7 @@ class PlantWorld(DirectWorld):
 
     def _take_finger_away(self) -> None:
         self._root.SetTime(0.0)
-        self._path.UpdateTrajectory(_standing(_AWAY))
+        self._path.UpdateTrajectory(PiecewisePolynomial(_AWAY[:, None]))
         self._plant.SetPositions(self._context, self._finger, _AWAY)
         self._plant.SetVelocities(self._context, self._finger, np.zeros(2))
         self._simulator.Initialize()
@@ -180,10 +180,6 @@ def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
     X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + _FINGER_EDGE / 2]))
     plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, _FINGER_EDGE), "finger", contact)
     return instance
-
-
-def _standing(place: FloatArray) -> PiecewisePolynomial:
-    return PiecewisePolynomial(place[:, None])
 
 
 def _means(values: FloatArray, stride: int) -> FloatArray:

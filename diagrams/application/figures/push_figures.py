@@ -150,9 +150,9 @@ def _panel(axes: Axes, scene: _Scene, dataset: PushDataset) -> None:
     faint = float(np.clip(4.0 / len(push.hypotheses), 0.12, 0.5))
     if scene.middle is not None:
         there = push.hypotheses[:, scene.middle]
-        style.draw_faint_outlines(axes, grid, there, color=BELIEF, width=0.8, alpha=0.55 * faint)
+        style.draw_faint_outlines(axes, grid, there, alpha=0.55 * faint)
         style.draw_outline(axes, grid, push.measured[scene.middle], alpha=0.7)
-    style.draw_faint_outlines(axes, grid, push.hypotheses[:, -1], color=BELIEF, width=0.8, alpha=faint)
+    style.draw_faint_outlines(axes, grid, push.hypotheses[:, -1], alpha=faint)
     style.draw_outline(axes, grid, push.measured[-1], width=1.2)
     centroid = grid.centers.mean(axis=0)
     for poses, colour in ((push.predicted, BELIEF), (push.measured, INK)):

@@ -1,7 +1,7 @@
 """Shared drawing of all figures: outlines, cells, scale bars, and saving."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -14,7 +14,7 @@ from matplotlib.path import Path as Curve
 from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
-from slipmap.diagrams.systems.look import FINGER, INK, STYLE
+from slipmap.diagrams.systems.look import BELIEF, FINGER, INK, STYLE
 from slipmap.models.geometry import placed
 from slipmap.models.physics.cell_grid import CellGrid
 
@@ -99,15 +99,17 @@ def draw_outline(
     axes.update_datalim(shape.vertices)
 
 
-def draw_faint_outlines(
-    axes: Axes, grid: CellGrid, poses: ArrayLike, *, color: str, width: float, alpha: float
-) -> None:
+def draw_faint_outlines(axes: Axes, grid: CellGrid, poses: ArrayLike, alpha: float) -> None:
     """Outlines of an object at many poses (K, 3) in the world, m and rad; faster than one by one."""
     shapes = [outline_path(grid, pose) for pose in np.asarray(poses, dtype=float)]
-    many = PathCollection(
-        shapes, facecolors="none", edgecolors=color, linewidths=width, alpha=alpha, zorder=1.0
-    )
-    axes.add_collection(many, autolim=False)
+    how: dict[str, Any] = {
+        "facecolors": "none",
+        "edgecolors": BELIEF,
+        "linewidths": 0.8,
+        "alpha": alpha,
+        "zorder": 1.0,
+    }
+    axes.add_collection(PathCollection(shapes, **how), autolim=False)
 
 
 def draw_finger(axes: Axes, begin: ArrayLike, end: ArrayLike, radius: float, width: float = 1.0) -> None:

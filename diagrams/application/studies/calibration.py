@@ -48,19 +48,14 @@ class CalibrationResult:
     by_kind: dict[str, dict[str, float]] = field(repr=False)
 
 
-def calibrate(*, objects: int = 40, seed: int = 0, progress: Progress | None = None) -> CalibrationResult:
+def calibrate(*, objects: int, seed: int, progress: Progress | None = None) -> CalibrationResult:
     """Identify `objects` simulated objects and compare their beliefs with the truth.
 
     Args:
         objects: at least 1.
         seed: of shapes, maps, pushes and noise.
         progress: called with (stage, done, total).
-
-    Raises:
-        ValueError: objects below 1.
     """
-    if objects < 1:
-        raise ValueError(f"objects must be at least 1, got {objects}")
     started = time.perf_counter()
     found: list[tuple[str, str, float]] = []
     report = progress or silent

@@ -153,14 +153,8 @@ def test_a_tiny_benchmark_with_all_engines(monkeypatch: pytest.MonkeyPatch) -> N
         assert engine["name"] in text
 
 
-@pytest.mark.parametrize("wrong", [{"cells": 0}, {"models": 0}, {"steps": 0}, {"repeats": 0}])
-def test_numbers_below_one_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match=f"{next(iter(wrong))} must be at least 1, got 0"):
-        run_benchmark(**wrong)
-
-
 @pytest.mark.usefixtures("small_growth")
 def test_a_failed_measurement_of_growth_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene, "CELLS", (0,))
-    with pytest.raises(RuntimeError, match=r"(?s)'cells': 0.* cells must be at least 1, got 0"):
+    with pytest.raises(RuntimeError, match=r"(?s)'cells': 0.*count"):
         scene.measure_growth(cells=6, steps=4, repeats=1, seed=0, progress=lambda stage, done, total: None)
