@@ -296,24 +296,54 @@ def pyramid_force(kind: str, direction: FloatArray) -> FloatArray:
     return np.stack([-(up + down) / 2, -(up - down) / 2], axis=-1)
 
 
+_KINDS: dict[Key, tuple[str, float, str]] = {
+    "factor": ("friction off by a factor", 0.02, "1"),
+    "speed": ("friction that depends on speed", 0.03, "1"),
+    "diamond": ("friction pyramid, a diamond", 0.1, "1"),
+    "square": ("friction pyramid, a square", 0.1, "1"),
+    "grain": ("grain", 0.02, "1"),
+    "lean": ("leaning friction", 1.0, "°"),
+    "torsion": ("torsional friction", 0.05, "1"),
+    "load_follows_slip": ("load that follows slip", 0.05, "1"),
+    "creep": ("creep", 0.02, "mm/s"),
+}
+"""Title, tolerance and unit of each measure."""
+
+_PYRAMIDS = {
+    "square": "Friction along x and along y is solved independently",
+    "diamond": "Friction along x and along y share one limit",
+}
+
+
 def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
     """Sizes of all possible defects, from the answers at the engine's time step dt, s, and at half of it."""
+    found: list[Measure] = []
+
+    def add(key: Key, value: float, uncertainty: float, sentence: str, effect: str | None = None) -> None:
+        title, tolerance, unit = _KINDS[key]
+        found.append(Measure(key, title, value, uncertainty, tolerance, unit, sentence, effect))
+
     shape, finer = _shape(full, dt, dt), _shape(half, dt / 2, dt)
     pyramid = shape.pyramid
-    result = [
-        _factor(full, half, shape), _speed(full, half), _pyramid(shape, finer),
-        Measure(
-            "grain", "grain", shape.grain, abs(shape.grain - finer.grain), 0.02, "1",
-            f"Friction along and across one direction of the table differs by {_percent(2 * shape.grain)}.",
-            "anisotropic_table",
-        ),
-        Measure(
-            "lean", "leaning friction", np.degrees(shape.lean),
-            np.degrees(abs(shape.lean - finer.lean)), 1.0, "°",
-            f"Friction deviates from the line of motion by up to {np.degrees(shape.lean):.1f}°, which no"
-            " grain explains.", "impulse_friction",
-        ),
-    ]  # fmt: skip
+    slow, slow_half = (float(answers.steady[0] / shape.along_x - 1) for answers in (full, half))
+    add("factor", slow, abs(slow - slow_half),
+        f"Friction of slow slides is {1 + slow:.3f} times the value from the coefficient.")  # fmt: skip
+    rise, rise_half = (float(answers.steady[-1] / answers.steady[0] - 1) for answers in (full, half))
+    add("speed", rise, abs(rise - rise_half),
+        f"From {STEADY_SPEEDS[0]:g} to {STEADY_SPEEDS[-1]:g} m/s, friction changes by {_percent(rise)}.",
+        "viscous_friction" if rise > 0 else "stribeck_friction")  # fmt: skip
+    same_kind = pyramid.kind == finer.pyramid.kind
+    corner = 1 + pyramid.share * ((np.sqrt(2) if pyramid.kind == "square" else np.sqrt(0.5)) - 1)
+    add(pyramid.kind, pyramid.share, abs(pyramid.share - finer.pyramid.share) if same_kind else pyramid.share,
+        f"{_PYRAMIDS[pyramid.kind]}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
+        f"friction_{pyramid.kind}")  # fmt: skip
+    add("grain", shape.grain, abs(shape.grain - finer.grain),
+        f"Friction along and across one direction of the table differs by {_percent(2 * shape.grain)}.",
+        "anisotropic_table")  # fmt: skip
+    lean = np.degrees(shape.lean)
+    add("lean", lean, np.degrees(abs(shape.lean - finer.lean)),
+        f"Friction deviates from the line of motion by up to {lean:.1f}°, which no grain explains.",
+        "impulse_friction")  # fmt: skip
     torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
     spins = [answers.spin / _expected_spin(answers, pyramid, shape) for answers in (full, half)]
     spin, unsure = _mean(spins[0]), _spread(*spins)
@@ -324,24 +354,19 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
         and pyramid.share < 0.05
     )
     if has_torsion:
-        way = "resists" if torsion > 0 else "helps"
-        result.append(
-            Measure(
-                "torsion", "torsional friction", torsion, torsion_unsure, 0.05, "1",
-                f"A torque {way} any spin, with {_percent(abs(torsion))} of the torque of a spin in place"
-                " under Coulomb's law.", "torsional_friction" if torsion > 0 else None,
-            )
-        )  # fmt: skip
+        add("torsion", torsion, torsion_unsure,
+            f"A torque {'resists' if torsion > 0 else 'helps'} any spin, with {_percent(abs(torsion))} of the"
+            " torque of a spin in place under Coulomb's law.",
+            "torsional_friction" if torsion > 0 else None)  # fmt: skip
     excess = spin - 1 - (torsion if has_torsion else 0.0)
-    result.append(
-        Measure(
-            "load_follows_slip", "load that follows slip", excess, unsure, 0.05, "1",
-            f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
-            f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load",
-        )
-    )  # fmt: skip
-    result.append(_creep_measure(full, half))
-    return result
+    add("load_follows_slip", excess, unsure,
+        f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
+        f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load")  # fmt: skip
+    creep, creep_half = (1e3 * float(answers.creep.max()) for answers in (full, half))
+    add("creep", creep, abs(creep - creep_half),
+        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
+        f" {creep:.2g} mm/s.")  # fmt: skip
+    return found
 
 
 def _mean(values: FloatArray) -> float:
@@ -362,50 +387,6 @@ def _expected_spin(answers: Answers, pyramid: Pyramid, shape: _Shape) -> FloatAr
     """(16,) torque of spins in place relative to Coulomb's, as predicted from the slides."""
     slip = np.mean(LATE) * np.abs(SPINS) * plain_scene().mean_arm
     return np.asarray(pyramid.spin * np.interp(slip, STEADY_SPEEDS, answers.steady) / shape.along_x)
-
-
-def _factor(full: Answers, half: Answers, shape: _Shape) -> Measure:
-    value, finer = (float(answers.steady[0] / shape.along_x - 1) for answers in (full, half))
-    return Measure(
-        "factor", "friction off by a factor", value, abs(value - finer), 0.02, "1",
-        f"Friction of slow slides is {1 + value:.3f} times the value from the coefficient.", None,
-    )  # fmt: skip
-
-
-def _speed(full: Answers, half: Answers) -> Measure:
-    def rise(answers: Answers) -> float:
-        return float(answers.steady[-1] / answers.steady[0] - 1)
-
-    slow, fast = STEADY_SPEEDS[0], STEADY_SPEEDS[-1]
-    return Measure(
-        "speed", "friction that depends on speed", rise(full), abs(rise(full) - rise(half)), 0.03, "1",
-        f"From {slow:g} to {fast:g} m/s, friction changes by {_percent(rise(full))}.",
-        "viscous_friction" if rise(full) > 0 else "stribeck_friction",
-    )  # fmt: skip
-
-
-def _pyramid(shape: _Shape, finer: _Shape) -> Measure:
-    kind, share = shape.pyramid.kind, shape.pyramid.share
-    change = abs(share - finer.pyramid.share) if kind == finer.pyramid.kind else share
-    corner = 1 + share * ((np.sqrt(2) if kind == "square" else np.sqrt(0.5)) - 1)
-    if kind == "square":
-        title, sentence = "friction pyramid, a square", "Friction along x and along y is solved independently"
-    else:
-        title, sentence = "friction pyramid, a diamond", "Friction along x and along y share one limit"
-    return Measure(
-        kind, title, share, change, 0.1, "1",
-        f"{sentence}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
-        f"friction_{kind}",
-    )  # fmt: skip
-
-
-def _creep_measure(full: Answers, half: Answers) -> Measure:
-    value = 1e3 * float(full.creep.max())
-    return Measure(
-        "creep", "creep", value, abs(value - 1e3 * float(half.creep.max())), 0.02, "mm/s",
-        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
-        f" {value:.2g} mm/s.", None,
-    )  # fmt: skip
 
 
 def _sign(values: FloatArray) -> FloatArray:

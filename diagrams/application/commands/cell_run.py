@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from slipmap.diagrams.application.commands.options import Option, complete_objects, path_option
+from slipmap.diagrams.application.commands.options import Option, bundled, complete_objects, path_option
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import (
     Progress,
@@ -155,11 +154,7 @@ def cell_options(folder: str) -> Option:
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:
-        @wraps(command)
-        def decorated(**arguments: Any) -> Any:
-            cell = CellRun(**{name: arguments.pop(name) for name in CellRun._fields})
-            return command(cell=cell, **arguments)
-
+        decorated = bundled("cell", CellRun)(command)
         for option in reversed(options):
             decorated = option(decorated)
         return decorated

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -70,6 +70,17 @@ def predict(
         note(f"picture: {path}")
 
 
+class _Report(NamedTuple):
+    """Options of `compare` and `diagnose`: what the datasets are, and where to write the results."""
+
+    apart: tuple[str, ...]
+    output: Path
+    seed: int
+    object_name: str | None
+    maps: Path | None
+    json_file: Path | None
+
+
 @click.command()
 @options.datasets_argument
 @options.belief_option(required=False, more="; without it, a model is learned from the fit pushes first")
@@ -81,17 +92,13 @@ def predict(
 @options.object_option
 @options.maps_option
 @options.json_option
+@options.bundled("wanted", _Report)
 def compare(
     datasets: tuple[Path, ...],
     belief_file: Path | None,
     effect_names: tuple[str, ...],
     effect_files: tuple[Path, ...],
-    apart: tuple[str, ...],
-    output: Path,
-    seed: int,
-    object_name: str | None,
-    maps: Path | None,
-    json_file: Path | None,
+    wanted: _Report,
 ) -> None:
     """Compare a model with pushes, and see where it fails.
 
@@ -115,15 +122,16 @@ def compare(
     known = options.find_effects(effect_files)
     effects = effects_named(effect_names, known)
     if len(datasets) > 1:
-        if apart and not effects:
+        if wanted.apart and not effects:
             raise BadInput("--apart says which effects several datasets do not share; add --effect")
-        _compare_together(datasets, effects, apart, output, seed, object_name, json_file)
+        _compare_together(datasets, effects, wanted)
         return
-    options.refuse_apart(apart)
+    options.refuse_apart(wanted.apart)
     (dataset,) = datasets
     belief = Belief.load(belief_file, known) if belief_file is not None else None
+    seed = wanted.seed
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress, maps)
+        measured = options.load_dataset(dataset, wanted.object_name, progress, wanted.maps)
         prepare_kernels()
         from slipmap.models.inference import comparison
 
@@ -141,36 +149,28 @@ def compare(
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
     with together():
-        write_text(output, text)
-        write_json(json_file, both)
+        write_text(wanted.output, text)
+        write_json(wanted.json_file, both)
     show(results, options.typed([dataset]))
-    note(f"report: {output}")
+    note(f"report: {wanted.output}")
 
 
-def _compare_together(
-    datasets: Sequence[Path],
-    effects: Sequence[Effect],
-    apart: Sequence[str],
-    output: Path,
-    seed: int,
-    object_name: str | None,
-    json_file: Path | None,
-) -> None:
+def _compare_together(datasets: Sequence[Path], effects: Sequence[Effect], wanted: _Report) -> None:
     with Progress() as progress:
-        measured = options.load_together(datasets, object_name, progress, one_only=["--belief"])
+        measured = options.load_together(datasets, wanted.object_name, progress, one_only=["--belief"])
         for dataset in measured:
             _check_fit_pushes(dataset)
         prepare_kernels()
         from slipmap.models.inference.comparison import compare_together
 
-        result = compare_together(measured, effects, apart=apart, seed=seed, progress=progress)
+        result = compare_together(measured, effects, apart=wanted.apart, seed=wanted.seed, progress=progress)
         from slipmap.diagrams.application.reports.comparison_report import joint_comparison_report
 
         with progress.step("drawing"):
             text = joint_comparison_report(result, measured)
     with together():
-        write_text(output, text)
-        write_json(json_file, result.to_json())
+        write_text(wanted.output, text)
+        write_json(wanted.json_file, result.to_json())
     from slipmap.diagrams.application.reports.comparison_words import joint_findings
     from slipmap.diagrams.application.reports.diagnosis_words import joint_fit_findings
     from slipmap.diagrams.application.reports.tables import show_joint_comparison
@@ -179,7 +179,7 @@ def _compare_together(
     show_joint_comparison(result)
     for text in (*told, *joint_findings(result)):
         paragraph(text)
-    note(f"report: {output}")
+    note(f"report: {wanted.output}")
 
 
 def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
@@ -238,17 +238,9 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
 @options.object_option
 @options.maps_option
 @options.json_option
+@options.bundled("wanted", _Report)
 def diagnose(
-    datasets: tuple[Path, ...],
-    effect_files: tuple[Path, ...],
-    quick: bool,
-    draws: int,
-    apart: tuple[str, ...],
-    seed: int,
-    output: Path,
-    object_name: str | None,
-    maps: Path | None,
-    json_file: Path | None,
+    datasets: tuple[Path, ...], effect_files: tuple[Path, ...], quick: bool, draws: int, wanted: _Report
 ) -> None:
     """Find out which physical effect the model misses.
 
@@ -263,59 +255,54 @@ def diagnose(
     """
     effects = options.find_effects(effect_files)
     if len(datasets) > 1:
-        _diagnose_together(datasets, effects, apart, draws, seed, output, object_name, json_file)
+        _diagnose_together(datasets, effects, draws, wanted)
         return
-    options.refuse_apart(apart)
+    options.refuse_apart(wanted.apart)
     (dataset,) = datasets
     where = options.typed([dataset])
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress, maps)
+        measured = options.load_dataset(dataset, wanted.object_name, progress, wanted.maps)
         prepare_kernels()
         from slipmap.planners import telling_push
 
         result = telling_push.diagnose(
-            measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
+            measured, effects=effects, draws=draws, quick=quick, seed=wanted.seed, progress=progress
         )
-        wanted = not quick or options.asked_for("output")
+        reported = not quick or options.asked_for("output")
         with together():
-            if wanted:
+            if reported:
                 from slipmap.diagrams.application.reports.diagnosis_report import diagnosis_report
 
                 told = diagnosis_report(result, measured, effects, where, progress)
-                write_text(output, told)
-            write_json(json_file, result.to_json(where))
+                write_text(wanted.output, told)
+            write_json(wanted.json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
 
     show_diagnosis(result, measured, effects, where)
-    note(f"report: {output}" if wanted else "a quick look writes no report; ask for one with -o FILE")
+    note(
+        f"report: {wanted.output}" if reported else "a quick look writes no report; ask for one with -o FILE"
+    )
 
 
 def _diagnose_together(
-    datasets: Sequence[Path],
-    effects: Sequence[Effect],
-    apart: Sequence[str],
-    draws: int,
-    seed: int,
-    output: Path,
-    object_name: str | None,
-    json_file: Path | None,
+    datasets: Sequence[Path], effects: Sequence[Effect], draws: int, wanted: _Report
 ) -> None:
-    where = options.typed(datasets, apart)
+    where = options.typed(datasets, wanted.apart)
     with Progress() as progress:
-        measured = options.load_together(datasets, object_name, progress, one_only=["--quick"])
+        measured = options.load_together(datasets, wanted.object_name, progress, one_only=["--quick"])
         prepare_kernels()
         from slipmap.models.inference.diagnosis.several import diagnose_together
 
         result = diagnose_together(
-            measured, effects=effects, apart=apart, draws=draws, seed=seed, progress=progress
+            measured, effects=effects, apart=wanted.apart, draws=draws, seed=wanted.seed, progress=progress
         )
         from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 
         with together():
             with progress.step("drawing"):
-                write_text(output, joint_report(result, measured, effects, where))
-            write_json(json_file, result.to_json(where))
+                write_text(wanted.output, joint_report(result, measured, effects, where))
+            write_json(wanted.json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_together
 
     show_together(result, measured, effects, where)
-    note(f"report: {output}")
+    note(f"report: {wanted.output}")

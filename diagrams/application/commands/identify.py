@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -24,6 +24,24 @@ if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
     from slipmap.models.physics.rollout import Maps
+
+
+class _Learning(NamedTuple):
+    """Options of `identify` and `fit`: how to learn, and where to write the results."""
+
+    output: Path
+    hypotheses: int
+    seed: int
+    object_name: str | None
+    maps: Path | None
+    pictures: Path | None
+    json_file: Path | None
+
+    def prepare(self) -> None:
+        """Make the folder for pictures, and the kernels."""
+        if self.pictures is not None:
+            make_folder(self.pictures)
+        prepare_kernels()
 
 
 @click.command()
@@ -48,19 +66,8 @@ if TYPE_CHECKING:
 @options.maps_option
 @options.pictures_option
 @options.json_option
-def identify(
-    dataset: Path,
-    output: Path,
-    method: str,
-    plain: bool,
-    hypotheses: int,
-    seed: int,
-    fit_pushes: int | None,
-    object_name: str | None,
-    maps: Path | None,
-    pictures: Path | None,
-    json_file: Path | None,
-) -> None:
+@options.bundled("wanted", _Learning)
+def identify(dataset: Path, method: str, plain: bool, fit_pushes: int | None, wanted: _Learning) -> None:
     """Learn maps of mass and friction from recorded pushes.
 
     DATASET is a folder with a dataset.yaml (push-dataset/1), files of the MIT push dataset (.json, .h5), or
@@ -69,29 +76,35 @@ def identify(
     Writes the belief, a picture of its maps (belief.maps.png) and one of the measured and predicted pushes
     (belief.pushes.png). Prints how well the belief predicts and which quantities the pushes determine.
     """
-    with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress, maps)
-        if fit_pushes is not None:
-            measured = _first_pushes(measured, fit_pushes)
-        if pictures is not None:
-            make_folder(pictures)
-        prepare_kernels()
+
+    def learn(measured: PushDataset, **common: Any) -> Identification:
         from slipmap.models.inference import identification
 
-        result = identification.identify(
-            measured,
-            method=method,
-            hypotheses=hypotheses,
-            seed=seed,
-            progress=progress,
-            friction_laws=not plain,
-        )
-        with together():
-            drawn = keep(result, measured, output, pictures, progress)
-            write_json(json_file, result.to_json())
-    show(result, measured, options.typed([dataset]))
+        return identification.identify(measured, method=method, friction_laws=not plain, **common)
+
+    _, measured, drawn = _learned(dataset, wanted, learn, fit_pushes)
     _tell_findings(measured, dataset)
-    tell_files(output, drawn)
+    tell_files(wanted.output, drawn)
+
+
+def _learned(
+    dataset: Path,
+    wanted: _Learning,
+    learn: Callable[..., Identification],
+    fit_pushes: int | None = None,
+) -> tuple[Identification, PushDataset, list[Path]]:
+    """Learn from a dataset, write and show the result; returns it with the dataset and its pictures."""
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, wanted.object_name, progress, wanted.maps)
+        if fit_pushes is not None:
+            measured = _first_pushes(measured, fit_pushes)
+        wanted.prepare()
+        result = learn(measured, hypotheses=wanted.hypotheses, seed=wanted.seed, progress=progress)
+        with together():
+            drawn = keep(result, measured, wanted.output, wanted.pictures, progress)
+            write_json(wanted.json_file, result.to_json())
+    show(result, measured, options.typed([dataset]))
+    return result, measured, drawn
 
 
 def _tell_findings(dataset: PushDataset, where: Path) -> None:
@@ -117,18 +130,13 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
 @options.maps_option
 @options.pictures_option
 @options.json_option
+@options.bundled("wanted", _Learning)
 def fit(
     datasets: tuple[Path, ...],
     effect_names: tuple[str, ...],
     effect_files: tuple[Path, ...],
     apart: tuple[str, ...],
-    output: Path,
-    hypotheses: int,
-    seed: int,
-    object_name: str | None,
-    maps: Path | None,
-    pictures: Path | None,
-    json_file: Path | None,
+    wanted: _Learning,
 ) -> None:
     """Learn maps of mass and friction together with effects.
 
@@ -147,54 +155,39 @@ def fit(
 
     effects = effects_named(effect_names, options.find_effects(effect_files))
     if len(datasets) > 1:
-        _fit_together(datasets, effects, apart, output, hypotheses, seed, object_name, pictures, json_file)
+        _fit_together(datasets, effects, apart, wanted)
         return
     options.refuse_apart(apart)
-    (dataset,) = datasets
-    with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress, maps)
-        if pictures is not None:
-            make_folder(pictures)
-        prepare_kernels()
+
+    def learn(measured: PushDataset, **common: Any) -> Identification:
         from slipmap.models.inference import identification
 
-        result = identification.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
-        with together():
-            drawn = keep(result, measured, output, pictures, progress)
-            write_json(json_file, result.to_json())
-    show(result, measured, options.typed([dataset]))
+        return identification.fit(measured, effects, **common)
+
+    result, _, drawn = _learned(datasets[0], wanted, learn)
     show_effects(result)
     _show_gain(result, effects)
-    tell_files(output, drawn)
+    tell_files(wanted.output, drawn)
 
 
 def _fit_together(
-    datasets: Sequence[Path],
-    effects: Sequence[Effect],
-    apart: Sequence[str],
-    output: Path,
-    hypotheses: int,
-    seed: int,
-    object_name: str | None,
-    pictures: Path | None,
-    json_file: Path | None,
+    datasets: Sequence[Path], effects: Sequence[Effect], apart: Sequence[str], wanted: _Learning
 ) -> None:
     with Progress() as progress:
-        measured = options.load_together(datasets, object_name, progress)
-        beliefs = _named_after([dataset.name for dataset in measured], output)
-        if pictures is not None:
-            make_folder(pictures)
-        prepare_kernels()
+        measured = options.load_together(datasets, wanted.object_name, progress)
+        beliefs = _named_after([dataset.name for dataset in measured], wanted.output)
+        wanted.prepare()
         from slipmap.models.inference.diagnosis.several import fit_together
 
         result = fit_together(
-            measured, effects, apart=apart, hypotheses=hypotheses, seed=seed, progress=progress
+            measured, effects, apart=apart, hypotheses=wanted.hypotheses, seed=wanted.seed, progress=progress
         )
         drawn = []
         with together():
             for learned, dataset, belief in zip(result.learned, measured, beliefs, strict=True):
-                drawn.append(keep(learned, dataset, belief, pictures, progress))
-            write_json(json_file, {**result.to_json(), "beliefs": [str(belief) for belief in beliefs]})
+                drawn.append(keep(learned, dataset, belief, wanted.pictures, progress))
+            names = [str(belief) for belief in beliefs]
+            write_json(wanted.json_file, {**result.to_json(), "beliefs": names})
     from slipmap.diagrams.application.reports.diagnosis_words import show_joint_fit
 
     show_joint_fit(result, measured)

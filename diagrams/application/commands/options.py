@@ -39,6 +39,20 @@ class OutputFile(click.ParamType):
         return path
 
 
+def bundled(name: str, kind: Any) -> Option:
+    """Passes options to a command as one argument: the NamedTuple `kind` of their values, called `name`."""
+
+    def decorate(command: Any) -> Any:
+        @wraps(command)
+        def decorated(**arguments: Any) -> Any:
+            values = kind(**{field: arguments.pop(field) for field in kind._fields})
+            return command(**{name: values}, **arguments)
+
+        return decorated
+
+    return decorate
+
+
 def count_option(
     name: str, *parameter: str, least: int = 1, most: int | None = None, default: int | None = None,
     metavar: str | None = "N", about: str,
