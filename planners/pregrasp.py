@@ -1,15 +1,14 @@
 """Pre-grasp sliding of an unknown object: Algorithm 4 of Song and Boularias (IROS 2020).
 
-`pregrasp` runs the whole procedure in a `World`: `learn_by_pushing` (Algorithms 1 and 2), then
-`bring_to_edge`. The methods that the paper compares (section VI.B) plan in the same way, but with different
-beliefs, made by `planning_belief`.
+The whole procedure in a `World` is `learn_by_pushing` (Algorithms 1 and 2), then `bring_to_edge`; the grasp
+itself (line 8) is left to the robot. The methods that the paper compares (section VI.B) plan in the same way,
+but with different beliefs, made by `planning_belief`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,6 @@ from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.planners.action_selection import Choice, choose_push
-from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
 from slipmap.planners.push_decisions import Allowed, MadePush, ObjectFell, PushNotMade, World, push_to_goal
@@ -157,50 +155,12 @@ class Pregrasp:
     success: bool  # whether the object was seen to lie at a goal and can be grasped there
     reason: str  # of success or failure, in words
     method: str  # of planning
-    belief: Belief | None  # identified, with all hypotheses; None if exploration failed
-    explorations: tuple[Trial, ...] = ()  # pushes that it was learned from
+    belief: Belief  # identified, with all hypotheses
     goals: tuple[Goal, ...] = ()  # that were available
     goal: Goal | None = None  # the last one aimed at, if any
     pose: FloatArray | None = None  # (3,) last seen, world, if any
     grasp: Grasp | None = None  # the best at this pose; None without success
     pushes: tuple[MadePush, ...] = ()  # towards the goal
-
-
-def pregrasp(
-    world: World,
-    grid: CellGrid,
-    heights: ArrayLike,
-    make_dataset: MakeDataset,
-    settings: PregraspSettings,
-    rng: np.random.Generator,
-    *,
-    method: str = "probabilistic",
-    allowed: Allowed = lambda push: True,
-    **options: Any,
-) -> Pregrasp:
-    """Explore an unknown object and bring it to the table's edge, where it can be grasped (Algorithm 4).
-
-    The grasp itself (line 8) is left to the robot; `Pregrasp.grasp` describes it.
-
-    Args:
-        world: with the object on its table.
-        grid: the object's cells and outline as seen, lines 1 and 2.
-        heights: (n,) of its top over the cells, m.
-        make_dataset: see `MakeDataset`.
-        settings: of the procedure.
-        rng: source of every draw.
-        method, allowed, options: of `bring_to_edge`.
-
-    Raises:
-        ValueError: invalid settings or arguments.
-    """
-    settings.check()
-    try:
-        belief, trials = learn_by_pushing(world, grid, make_dataset, settings, rng, allowed=allowed)  # line 4
-    except (ObjectFell, PushNotMade, NoReachablePush) as error:
-        return Pregrasp(False, f"exploration failed: {error}", method, None)
-    ended = bring_to_edge(world, belief, heights, settings, rng, method=method, allowed=allowed, **options)
-    return replace(ended, explorations=trials)
 
 
 def bring_to_edge(

@@ -66,7 +66,7 @@ def interval(
     """
     x = np.log(np.maximum(values, 1e-300)) if log else values
     mean = float(probability @ x)
-    effective = max(2.0, _effective_number(probability))
+    effective = max(2.0, 1.0 / float(probability @ probability))
     variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
     spread = np.sqrt(variance * (1.0 + 1.0 / effective) + more**2)
     width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * spread
@@ -74,7 +74,3 @@ def interval(
     middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
     low, high = float(mean - width), float(mean + width)
     return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
-
-
-def _effective_number(probability: FloatArray) -> float:
-    return 1.0 / float(probability @ probability)

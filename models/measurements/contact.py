@@ -198,10 +198,6 @@ class Cause(NamedTuple):
     applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps after correction
 
 
-def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
-    return gaps(setup, rows.tips, rows.poses)
-
-
 def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Cause | None:
     """The simplest known cause that removes most of the depth and air in all pushes, or None.
 
@@ -212,7 +208,7 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
     thinned = [rows for rows in thinned if len(rows.time)]
     if not thinned:
         return None
-    before = _misfit(setup, thinned, _plain)
+    before = _misfit(setup, thinned, lambda setup, rows: gaps(setup, rows.tips, rows.poses))
     tried = [(cause, _misfit(setup, thinned, cause.applied)) for cause in _causes(setup, thinned)]
     least = min(misfit for _, misfit in tried)
     for cause, misfit in tried:

@@ -94,11 +94,9 @@ def trial_from_tables(
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
     pose, rows = _channel(tables, "object_pose", where)
     warnings = _degrees(pose, where)
-    if warnings:  # angles in degrees: an apparent half turn may be half a degree
-        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
-    else:
+    if not warnings:  # of angles in degrees, an apparent half turn may be half a degree
         pose, warnings = _sound(pose, rows, f"{where}, object_pose")
-        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
+    pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
     tip, rows = _channel(tables, "tip_pose", where)
     tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
     warnings += doubts

@@ -9,7 +9,7 @@ import pytest
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Table
 from slipmap.planners import push_decisions
 from slipmap.planners.goals import Graspable
-from slipmap.planners.pregrasp import bring_to_edge, pregrasp
+from slipmap.planners.pregrasp import bring_to_edge, learn_by_pushing
 from slipmap.planners.push_decisions import NoPushLeft, PushNotMade, Way, near_enough, next_push, push_to_goal
 from slipmap.planners.robust_push import plan_push
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
@@ -58,11 +58,10 @@ def test_an_unknown_object_is_explored_first():
     def dataset(trials, grid):
         return PushDataset("", "", grid, None, None, RADIUS, TABLE, 9.81, Noise(), tuple(trials), "")
 
-    settings = replace(SETTINGS, explorations=2, strategy="random", hypotheses=4)
-    ended = pregrasp(world, world.thing.grid, world.thing.height, dataset, settings, rng(), method="uniform")
-    assert len(ended.explorations) == 2
-    assert [trial.role for trial in ended.explorations] == ["fit", "fit"]
-    assert ended.belief is not None
+    settings, choices = replace(SETTINGS, explorations=2, strategy="random", hypotheses=4), rng()
+    belief, trials = learn_by_pushing(world, world.thing.grid, dataset, settings, choices)
+    assert [trial.role for trial in trials] == ["fit", "fit"]
+    ended = bring_to_edge(world, belief, world.thing.height, settings, choices, method="uniform")
     assert len(ended.belief) == 4
     assert ended.method == "uniform"
     assert ended.success == (world.lowest > 0)

@@ -69,22 +69,15 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     )
 
 
-def _against_truth(result: Identification, truth: Maps) -> list[dict[str, Any]]:
+def _against_truth(result: Identification, maps: Maps) -> list[dict[str, Any]]:
     from slipmap.diagrams.application.demonstration import true_values
 
-    known = true_values(result.belief, truth)
+    known = true_values(result.belief, maps)
     return [
-        {
-            "name": quantity.name,
-            "unit": quantity.unit,
-            "truth": known[quantity.name],
-            "value": quantity.value,
-            "low": quantity.low,
-            "high": quantity.high,
-            "inside": bool(quantity.low <= known[quantity.name] <= quantity.high),
-        }
+        {name: getattr(quantity, name) for name in ("name", "unit", "value", "low", "high")}
+        | {"truth": truth, "inside": quantity.low <= truth <= quantity.high}
         for quantity in result.quantities
-        if quantity.name in known
+        if (truth := known.get(quantity.name)) is not None
     ]
 
 

@@ -140,10 +140,9 @@ def explore(
         with record.going_on(len(run.dataset.trials)), together():
             written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
             record.end()
-            write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
+            write_json(json_file, {**_learned_json(run), "monitor": run.watch, "failure": failure})
     _show_exploration(run)
     _show_surprises(run, cell.folder)
-    _show_repair(run)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if failure:
@@ -213,14 +212,13 @@ def pregrasp(
                 explored = run.exploration
                 written = cell_run.leave(explored.identification, explored.dataset, cell.folder, progress)
                 record.end()
-                write_json(json_file, {**_learned_json(explored), "pregrasp": run.to_json()})
+                write_json(json_file, {**_learned_json(explored), "pregrasp": run})
     except ExplorationFailed as error:
         stopped = isinstance(error, ExplorationStopped)
         raise (click.Abort() if stopped else click.ClickException(str(error))) from error
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder)
-    _show_repair(run.exploration)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if not run.held:
@@ -243,10 +241,8 @@ def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
 
 def _learned_json(run: ExplorationRun) -> dict[str, Any]:
     learned = run.identification
-    repair = None if run.repair is None else run.repair.to_json()
-    return {
-        **learned.to_json(), "effects": learned.effect_estimates, "truth": run.truth(), "repair": repair,
-    }  # fmt: skip
+    own = {"effects": learned.effect_estimates, "truth": run.truth(), "repair": run.repair}
+    return {**learned.to_json(), **own}
 
 
 def _show_exploration(run: ExplorationRun) -> None:
@@ -270,19 +266,13 @@ def _show_exploration(run: ExplorationRun) -> None:
 
 
 def _show_surprises(run: ExplorationRun, folder: Path) -> None:
-    """Print which pushes ended outside their intervals."""
+    """Print which pushes ended outside their intervals, and how the model was repaired if it was to adapt."""
+    from slipmap.diagrams.application.reports.diagnosis_words import repair_story
     from slipmap.diagrams.application.reports.tables import show_surprises
 
     show_surprises(run.identification.pushes, str(folder / "pushes"))
-
-
-def _show_repair(run: ExplorationRun) -> None:
-    """Print how the model was repaired during the run, if it was to adapt."""
-    if run.repair is not None:
-        from slipmap.diagrams.application.reports.diagnosis_words import repair_story
-
-        for sentence in repair_story(run.repair, run.watch):
-            paragraph(sentence)
+    for sentence in [] if run.repair is None else repair_story(run.repair, run.watch):
+        paragraph(sentence)
 
 
 def _show_truth(truth: dict[str, Any]) -> None:

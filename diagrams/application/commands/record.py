@@ -155,7 +155,7 @@ def _listen(log: Path, listener: PushListener, folder: Path) -> None:
 def _heard(listener: PushListener, lag: CameraLag | None) -> dict[str, Any]:
     from slipmap.diagrams.loops.push_listener import listened_json
 
-    return {**listened_json(listener), "camera_lag": None if lag is None else lag.to_json()}
+    return {**listened_json(listener), "camera_lag": lag}
 
 
 def _shown_lag(dataset: PushDataset) -> CameraLag | None:

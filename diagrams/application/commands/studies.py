@@ -547,10 +547,7 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
         beside = prices_beside(engines, standard, progress) if len(audits) == 1 else {}
         from slipmap.diagrams.application.reports.audit_words import audit_report, show_audits
 
-        document = {
-            "engines": [one.to_json() for one in audits],
-            "beside_mm": {k: 1e3 * v for k, v in beside.items()},
-        }
+        document = {"engines": audits, "beside_mm": {k: 1e3 * v for k, v in beside.items()}}
         with progress.step("drawing"), together():
             write_text(output, audit_report(audits, beside))
             write_json(json_file, document)

@@ -166,7 +166,8 @@ def finding(comparison: Comparison) -> str:
         if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:
             text += f", but {_pushes(most)} can show only very clear patterns"
         return f"{text}."
-    named = _listed([sentence_part(pattern) for pattern in found[:4]])
+    *first, last = [sentence_part(pattern) for pattern in found[:4]]
+    named = f"{'; '.join(first)}; and {last}" if first else last
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
     return f"The remaining error has a pattern: {named}{more}."
 
@@ -280,7 +281,3 @@ def decimals(size: float) -> int:
 
 def _pushes(count: int) -> str:
     return "one push" if count == 1 else f"{count} pushes"
-
-
-def _listed(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{'; '.join(parts[:-1])}; and {parts[-1]}"

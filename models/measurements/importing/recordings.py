@@ -479,7 +479,8 @@ def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
             f" object_pose; check frames, outline and finger.radius, or give {channel}.clock, the seconds to"
             " add to its stamps"
         )
-        if not _overlap(trial.object_pose, moved):
+        begin, end = trial.object_pose.time[[0, -1]]
+        if moved.time[-1] <= begin or moved.time[0] >= end:
             raise DatasetError(text)
         return trial, f"{text}. The stamps were left as they are"
     if channel == "ft_wrench" and not lag.sure:
@@ -487,10 +488,6 @@ def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
-
-
-def _overlap(pose: Channel, other: Channel) -> bool:
-    return bool(other.time[-1] > pose.time[0] and other.time[0] < pose.time[-1])
 
 
 def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:

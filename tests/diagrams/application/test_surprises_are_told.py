@@ -15,7 +15,7 @@ from tests.made_predictions import made_prediction
 
 
 def told(capsys: pytest.CaptureFixture[str], *pushes: Any) -> str:
-    run: Any = SimpleNamespace(identification=SimpleNamespace(pushes=pushes))
+    run: Any = SimpleNamespace(identification=SimpleNamespace(pushes=pushes), repair=None)
     _show_surprises(run, Path("demo"))
     return " ".join(capsys.readouterr().out.split())
 

@@ -110,10 +110,6 @@ def exact(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray
     return np.column_stack([np.interp(times, clock, column) for column in poses.T])
 
 
-def _level() -> FloatArray:
-    return np.array([0.0, 0.0, -GRAVITY])
-
-
 def _as_it_is(forces: FloatArray) -> FloatArray:
     return forces
 
@@ -143,7 +139,7 @@ class Effect:
     """
 
     parameters: dict[str, Any] = field(default_factory=dict)
-    gravity: FloatArray = field(default_factory=_level)
+    gravity: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, -GRAVITY]))
     loose_mass: LooseMass | None = None
     blade: Blade | None = None
     finger_stiffness: float | None = None
