@@ -8,7 +8,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -32,6 +32,12 @@ LARGEST_FILE = 2**29
 
 END_ERRORS = "end_errors"
 """Key under which a belief stores the `cross_validation.end_errors` of the pushes that taught it."""
+
+_PLAIN: dict[str, Callable[[Any], Any]] = {
+    "finger_radius": float, "gravity": float, "dataset": str, "fingerprint": str, "method": str, "seed": int,
+    "settings": dict, "versions": dict,
+}  # fmt: skip
+"""Fields of a belief that its file's description holds as they are."""
 
 _ANEW = "write it again with `slipmap identify` or `slipmap fit`"
 
@@ -210,17 +216,10 @@ class Belief:
         arrays = self._arrays()
         meta = {
             "format": FORMAT,
-            "finger_radius": self.finger_radius,
-            "gravity": self.gravity,
+            **{name: getattr(self, name) for name in _PLAIN},
             "cell_width": self.grid.width,
             "holes": len(self.grid.holes),
             "smoothing": vars(self.smoothing),
-            "dataset": self.dataset,
-            "fingerprint": self.fingerprint,
-            "method": self.method,
-            "seed": self.seed,
-            "settings": self.settings,
-            "versions": self.versions,
             "effects": [effect.name for effect in self.effects],
             **({} if self.table is None else {"table": vars(self.table)}),
             "checksum": _checksum(arrays),
@@ -293,19 +292,12 @@ class Belief:
             width, outline = float(meta["cell_width"]), arrays["exterior"]
             return cls(
                 grid=CellGrid(arrays["centers"], width, outline, tuple(arrays[hole] for hole in holes)),
-                finger_radius=float(meta["finger_radius"]),
-                gravity=float(meta["gravity"]),
                 maps=Maps(
                     arrays["mass"], arrays["mu"], arrays["mu_finger"], arrays.get("effects", np.zeros((0, 0)))
                 ),
                 probability=arrays["probability"],
                 smoothing=Smoothing(**meta["smoothing"]),
-                dataset=str(meta["dataset"]),
-                fingerprint=str(meta["fingerprint"]),
-                method=str(meta["method"]),
-                seed=int(meta["seed"]),
-                settings=dict(meta["settings"]),
-                versions=dict(meta["versions"]),
+                **{name: kind(meta[name]) for name, kind in _PLAIN.items()},
                 effects=tuple(by_name[name] for name in carried),
                 table=_table_of(meta.get("table")),
             )
