@@ -19,7 +19,7 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect, failure
 from slipmap.models.files import BadInput
-from slipmap.models.geometry import placed
+from slipmap.models.geometry import placed, rotated
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -139,9 +139,7 @@ class CoulombEngine:
 
     def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
         """See `Engine`."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        vx, vy, omega = velocity
-        twist = np.array([[c * vx + s * vy, c * vy - s * vx, omega]])
+        twist = np.array([[*rotated(velocity[:2], -pose[2]), velocity[2]]])
         self._state = self._stepper.start(self._models, np.asarray(pose, dtype=float), twist)
 
     def step(

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.engines import EngineScene, Subject, two_material_scene
 from slipmap.diagrams.application.audit.probes import Measure, measures
-from slipmap.models.effects.effect import Effect, Scene, bounds
+from slipmap.models.effects.effect import Effect, Scene, bounds, scales
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import BadInput
 from slipmap.models.physics.cell_grid import FloatArray
@@ -148,7 +148,7 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
         weight=weight,
     )
     low, high = bounds([effect])
-    spans = np.array([p.scale * weight**p.weight_power for p in effect.parameters])
+    spans = scales([effect], weight)
     fits = []
     for begin in effect.start_values(around):
         # Slightly off the null, where parameters that shape the effect have zero derivative.

@@ -64,13 +64,9 @@ _ARROW: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _residuals_of(comparison: Comparison, quantity: str) -> Residuals | None:
-    return comparison.motion if quantity == "motion" else comparison.force
-
-
 def _wanted(comparison: Comparison, quantity: str) -> Residuals:
     """Residual velocities (`motion`) or forces (`force`). Raises ValueError where there are none."""
-    residuals = _residuals_of(comparison, quantity)
+    residuals: Residuals | None = getattr(comparison, quantity)
     if residuals is None:
         raise ValueError(f"{comparison.label}: there are no residuals of {quantity} in these pushes")
     return residuals
@@ -410,7 +406,7 @@ def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) ->
     figures: dict[str, Figure] = {}
     endings = {id(comparison): ".second" if k else "" for k, comparison in enumerate(comparisons)}
     for quantity in ("motion", "force"):
-        known = [c for c in comparisons if _residuals_of(c, quantity) is not None]
+        known = [c for c in comparisons if getattr(c, quantity) is not None]
         touching = [c for c in known if np.isfinite(_wanted(c, quantity).at.contact).all(axis=1).any()]
         for one in known:
             figures[f"{quantity}.table_place{endings[id(one)]}"] = table_figure(one, quantity, known)

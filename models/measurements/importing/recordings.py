@@ -31,7 +31,7 @@ from slipmap.models.measurements.importing.import_setup import (
     ImportSetup,
     parse_import_setup,
 )
-from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped, times
+from slipmap.models.measurements.importing.mapping import is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
@@ -47,8 +47,6 @@ _NOWHERE = 100.0  # m from the object, where an absent finger is placed
 _LONGEST = 1e5  # s of a recording
 _FEWEST_ROWS = 10  # rows of a push after which stamps may start again,
 _NEAR_START = 0.1  # within this share of its duration from where they began
-
-Tables = dict[str, Mapped]
 
 
 def import_dataset(
@@ -283,12 +281,8 @@ def _recording(
         told_apart = "cut into pushes by their numbers, or where the stamps start again"
         whole.steps.extend((label, told_apart) for label in pushes)
     for label, parts in pushes.items():
-        found = _one_clock(label, parts, said, usual)
-        whole.trials.extend(found.trials)
-        whole.doubts.extend(found.doubts)
-        whole.labels.append(label)
-        whole.steps.extend(found.steps)
-        whole.force_lags.extend(found.force_lags)
+        for name, values in vars(_one_clock(label, parts, said, usual)).items():
+            getattr(whole, name).extend(values)
     return whole
 
 
