@@ -14,6 +14,7 @@ from slipmap.diagrams.application.terminal import paragraph, table as print_tabl
 _COLUMNS = (
     "engine", "price, mm", "price at half the step, mm", "step, ms", "defects", "effect that explains most",
 )  # fmt: skip
+_PROBES = ("probe", "size", "±", "tolerance", "defect")
 
 
 def headline(audit: Audit) -> str:
@@ -51,6 +52,10 @@ def remedies(audit: Audit) -> str:
     return f"To lower the price: {'; '.join(audit.remedies)}." if audit.remedies else ""
 
 
+def _sentences(audit: Audit) -> list[str]:
+    return list(filter(None, (named(audit), pushed(audit), remedies(audit))))
+
+
 def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
     """Rows of the table of engines, with columns `_COLUMNS`."""
     rows: list[tuple[str, ...]] = []
@@ -69,17 +74,11 @@ def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
 def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
     """Print the audits, with the prices of other engines `beside` them (m, by name)."""
     for audit in audits:
-        for text in (headline(audit), named(audit), pushed(audit), remedies(audit)):
+        for text in (headline(audit), *_sentences(audit)):
             paragraph(text)
-        print_table(
-            audit.name, ("probe", "size", "±", "tolerance", "defect"), _measure_rows(audit), numbers=(1, 2, 3)
-        )
+        print_table(audit.name, _PROBES, _measure_rows(audit), numbers=(1, 2, 3))
     rows = [
-        (
-            audit.name,
-            f"{1e3 * audit.pushed.price:.2f}",
-            ", ".join(d.title for d in audit.defects) or "none",
-        )
+        (audit.name, f"{1e3 * audit.pushed.price:.2f}", ", ".join(d.title for d in audit.defects) or "none")
         for audit in audits
     ]
     rows += [(name, f"{1e3 * price:.2f}", "(not probed)") for name, price in beside.items()]
@@ -92,7 +91,7 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
     one = len(audits) == 1
     title = f"Audit of {first.name}" if one else "Audit of physics engines"
     subtitle = ", ".join(dict.fromkeys(filter(None, (audit.version for audit in audits))))
-    lead = [named(first), pushed(first), remedies(first)] if one else [headline(audit) for audit in audits]
+    lead = _sentences(first) if one else [headline(audit) for audit in audits]
     prices = {audit.name: audit.pushed.price for audit in audits} | dict(beside)
     body = picture(
         prices_figure(prices),
@@ -103,9 +102,7 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
     sections = [Section("engines", "Engines", body)]
     sections += [_section(audit, number) for number, audit in enumerate(audits)]
     sections.append(Section("how", "How it was measured", _HOW))
-    return page(
-        title, subtitle, list(filter(None, lead)), sections, headline=headline(first) if one else ""
-    )  # fmt: skip
+    return page(title, subtitle, lead, sections, headline=headline(first) if one else "")
 
 
 _HOW = (
@@ -118,14 +115,10 @@ _HOW = (
 
 
 def _section(audit: Audit, number: int) -> Section:
-    paragraphs = "".join(
-        f"<p>{escape(text)}</p>" for text in (named(audit), pushed(audit), remedies(audit)) if text
-    )
-    body = paragraphs + picture(
-        friction_figure(audit), f"Friction of {audit.name} by direction, relative to Coulomb's."
-    )
+    body = "".join(f"<p>{escape(text)}</p>" for text in _sentences(audit))
+    body += picture(friction_figure(audit), f"Friction of {audit.name} by direction, relative to Coulomb's.")
     body += table(
-        ("probe", "size", "±", "tolerance", "defect"), _measure_rows(audit), numbers=(1, 2, 3),
+        _PROBES, _measure_rows(audit), numbers=(1, 2, 3),
         marked=[measure.named for measure in audit.measures],
         caption="Sizes are 0 under Coulomb's law.",
     )  # fmt: skip

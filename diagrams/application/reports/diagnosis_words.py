@@ -24,7 +24,6 @@ from slipmap.models.inference.diagnosis.results import (
     JointCandidate,
     JointDiagnosis,
     JointIdentification,
-    ParameterEstimate,
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
@@ -331,7 +330,14 @@ def bound_rows(diagnosis: JointDiagnosis, effects: Sequence[Effect]) -> list[tup
 
 def joint_rows(datasets: Sequence[DatasetResult]) -> list[list[str]]:
     """Rows of a table with the columns `JOINT_DATASETS`."""
-    return [_row(one) for one in datasets]
+    rows = []
+    for one in datasets:
+        errors = ["–" if e is None else millimetres(float(e.final.mean())) for e in (one.before, one.after)]
+        alone = ", ".join(f"{e.name} {e.value:.2g} ({e.low:.2g} to {e.high:.2g})" for e in one.alone)
+        name = f"{one.name} (whole)" if one.whole else one.name
+        pushes = str(len(one.open_trials)), str(len(one.locked))
+        rows.append([name, *pushes, *errors, nats(one.fall), alone])
+    return rows
 
 
 def show_together(
@@ -384,16 +390,6 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
     return f"With {names}, the locked pushes of {which}. Their total cost {turns} by {nats(abs(total))} nats."
-
-
-def _row(one: DatasetResult) -> list[str]:
-    errors = [millimetres(float(e.final.mean())) if e is not None else "–" for e in (one.before, one.after)]
-    name = f"{one.name} (whole)" if one.whole else one.name
-    return [name, str(len(one.open_trials)), str(len(one.locked)), *errors, nats(one.fall), _said(one.alone)]
-
-
-def _said(estimates: Sequence[ParameterEstimate]) -> str:
-    return ", ".join(f"{e.name} {e.value:.2g} ({e.low:.2g} to {e.high:.2g})" for e in estimates)
 
 
 _DID = {
