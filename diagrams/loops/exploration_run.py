@@ -42,6 +42,7 @@ from slipmap.models.progress import Progress, silent
 
 _LONGEST = 60.0  # s of simulated time per push, in addition to moving, after which the loop is given up
 _LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take time
+_WATCHED = 0.05  # s between two looks at a loop; between them nothing happens that a look could miss
 _WAY, _DOWN, _PUSHED = (
     4.0,
     0.8,
@@ -225,7 +226,8 @@ def run_loop(
         supervisor: name of the system whose status counts.
         last: final modes.
         longest: simulated time after which the loop is given up, s.
-        watch: called at every step with the status and the loop's Context.
+        watch: called with the status and the loop's Context, whenever the status changes and every 50 ms: before
+            whatever learns from a new recording.
 
     Raises:
         HardwareError: the real cell does not answer.
@@ -242,16 +244,21 @@ def run_loop(
     started = time.perf_counter()
     first_look: list[FloatArray] = []
 
-    port = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
-    context_of_port = port.get_system().GetMyContextFromRoot(context)
+    block = loop.GetSubsystemByName(supervisor)
+    port, context_of_port = block.GetOutputPort("status"), block.GetMyContextFromRoot(context)
+    seen: tuple[LoopStatus | None, int] = None, -1
 
     def monitor(root: Context) -> EventStatus:
+        nonlocal seen
         status: LoopStatus = port.Eval(context_of_port)
-        if status.mode in last:
-            return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
-        if simulated and not first_look and status.mode in CHOOSING:
-            first_look.append(_frames(loop, root))
-        watch(status, root)
+        now = status, int(root.get_time() / _WATCHED + 1e-6)
+        if now != seen:
+            seen = now
+            if status.mode in last:
+                return EventStatus.ReachedTermination(block, status.mode)
+            if simulated and not first_look and status.mode in CHOOSING:
+                first_look.append(_frames(loop, root))
+            watch(status, root)
         if simulated:
             station.after_step(context)
         return EventStatus.DidNothing()
@@ -267,8 +274,11 @@ def run_loop(
         interrupted = True
     finally:
         gc.unfreeze()
+    ended: LoopStatus = port.Eval(context_of_port)
+    if interrupted:
+        watch(ended, context)
     return LoopEnd(
-        output_of(loop, supervisor, "status", context),
+        ended,
         context,
         first_look[0] if first_look else None,
         interrupted,

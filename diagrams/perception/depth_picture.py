@@ -145,7 +145,39 @@ def _window(image, camera, half, X):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _draw_solid(image, camera, kind, size, X, window, nearest):  # type: ignore[no-untyped-def]
+def _columns(camera, half, X, window, first, last):  # type: ignore[no-untyped-def]
+    """Set `first` and `last` (H,) to the columns between which a box with pose X is in each row of its window.
+
+    The range may be a little too large.
+    """
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    u, v = np.empty(8), np.empty(8)
+    for corner in range(8):
+        sx = half[0] if corner & 1 else -half[0]
+        sy = half[1] if corner & 2 else -half[1]
+        sz = half[2] if corner & 4 else -half[2]
+        z = X[2, 0] * sx + X[2, 1] * sy + X[2, 2] * sz + X[2, 3]
+        if z <= _NEAR:
+            first[window[0] : window[1] + 1], last[window[0] : window[1] + 1] = window[2], window[3]
+            return
+        u[corner] = fx * (X[0, 0] * sx + X[0, 1] * sy + X[0, 2] * sz + X[0, 3]) / z + cx
+        v[corner] = fy * (X[1, 0] * sx + X[1, 1] * sy + X[1, 2] * sz + X[1, 3]) / z + cy
+    for row in range(window[0], window[1] + 1):
+        left, right = np.inf, -np.inf
+        for one in range(8):
+            for bit in (1, 2, 4):  # an edge for each; the silhouette consists of edges
+                other = one | bit
+                if other != one and (v[one] < row) != (v[other] < row):
+                    column = u[one] + (row - v[one]) / (v[other] - v[one]) * (u[other] - u[one])
+                    left, right = min(left, column), max(right, column)
+        first[row], last[row] = window[2], window[3]
+        if left <= right:  # otherwise the row just touches a corner
+            first[row] = max(first[row], int(np.floor(left)) - 1)
+            last[row] = min(last[row], int(np.ceil(right)) + 1)
+
+
+@_compiled
+def _draw_solid(image, camera, kind, size, X, window, nearest, first, last):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     # The camera, where all rays start, and its axes in the shape's frame.
     origin = np.empty(3)
@@ -161,7 +193,7 @@ def _draw_solid(image, camera, kind, size, X, window, nearest):  # type: ignore[
         y = b * axes[1, 1] + axes[2, 1]
         z = b * axes[1, 2] + axes[2, 2]
         met = False
-        for column in range(window[2], window[3] + 1):
+        for column in range(first[row], last[row] + 1):
             if image[row, column] <= nearest:
                 continue
             a = (column - cx) / fx
@@ -205,9 +237,11 @@ def draw_solids(image, camera, kinds, sizes, halves, X_BG, bodies, X_CB):  # typ
         windows[k, 0], windows[k, 1], windows[k, 2], windows[k, 3], nearest[k] = _window(
             image, camera, halves[k], X_CG[k]
         )
+    first, last = np.empty(len(image), np.int64), np.empty(len(image), np.int64)
     # Shapes in front hide most of those behind, whose depth then need not be computed.
     for k in np.argsort(nearest):
-        _draw_solid(image, camera, kinds[k], sizes[k], X_CG[k], windows[k], nearest[k])
+        _columns(camera, halves[k], X_CG[k], windows[k], first, last)
+        _draw_solid(image, camera, kinds[k], sizes[k], X_CG[k], windows[k], nearest[k], first, last)
 
 
 @_compiled

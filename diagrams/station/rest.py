@@ -35,11 +35,11 @@ _SAME = 1e-9  # m; a locked object that moved by more was placed from outside
 class RestWatch(PythonSystem):
     """Watches whether the object lies still and no part of the arm is about to touch it.
 
-    Inputs are the plant's `body_poses` and `body_spatial_velocities`. The output `at_rest` (1,) is 1 or 0. It
-    becomes 1 after `QUIET` during which no point of the object was faster than the stiction tolerance. It
-    becomes 0 at the first check at which a point is faster, the object has moved since the last check, or the
-    arm is near; see `_ROOM`. Distances are between bounding boxes of single shapes, which never exceed the
-    distances between the shapes.
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`. It is `at_rest` after `QUIET` during
+    which no point of the object was faster than the stiction tolerance, until the first check at which a point
+    is faster, the object has moved since the last check, or the arm is near; see `_ROOM`. Distances are those
+    of bounding boxes of single shapes along an axis of the object, which never exceed the distances between
+    the shapes.
 
     Args:
         plant, scene_graph: finalized, with the object in it.
@@ -61,42 +61,43 @@ class RestWatch(PythonSystem):
         self._corners = np.array([points for _, points in parts])
         self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
-        # Time at rest, s; pose at the last check, m; distance between each part of the arm and each of the
-        # object, m. A single distance would hide a part that approaches behind another.
-        state = self.DeclareDiscreteState(1 + _PLACE + len(self._corners) * len(self._low))
+        # Time at rest, s; pose at the last check, m; separation between each part of the arm and each of the
+        # object along each axis of the object, m. A single number would hide a part that approaches behind
+        # another.
+        self.DeclareDiscreteState(1 + _PLACE + 3 * len(self._corners) * len(self._low))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
-        self.declare_vector_output("at_rest", 1, self._at_rest, {self.discrete_state_ticket(state)})
+
+    def at_rest(self, context: Context) -> bool:
+        """Whether the object lies still and no part of the arm is about to touch it."""
+        return bool(context.get_discrete_state_vector().GetAtIndex(0) > QUIET)
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
         fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
-        result = values.get_mutable_vector()
+        before = context.get_discrete_state_vector().value()
         if fastest >= STICTION:
-            result.SetFromVector(np.zeros(result.size()))
+            values.set_value(np.zeros(len(before)))
             return
         X_WB = self.GetInputPort("body_poses").Eval(context)
-        still_for, *rest = context.get_discrete_state_vector().CopyToVector()
-        place_before, gap_before = np.split(rest, [_PLACE])
+        still_for, place_before, apart_before = before[0], before[1 : 1 + _PLACE], before[1 + _PLACE :]
         X_WO = X_WB[self._object]
         axes = self._reach * X_WO.rotation().matrix()
         place = np.column_stack([X_WO.translation(), axes]).ravel()
         moved = still_for > 0 and np.abs(place - place_before).max() > fastest * PERIOD + _SAME
-        gap = self._gaps(X_WB)
-        near = (gap - 2 * np.maximum(gap_before - gap, 0.0)).min() < _ROOM
+        apart = self._apart(X_WB)
+        later = apart - 2 * np.maximum(apart_before - apart, 0.0)
+        near = later.reshape(-1, 3).max(axis=1).min() < _ROOM
         still = not moved and not near
-        result.SetFromVector([still_for + PERIOD if still else 0.0, *place, *gap])
+        values.set_value(np.concatenate([[still_for + PERIOD if still else 0.0], place, apart]))
 
-    def _gaps(self, X_WB: list[RigidTransform]) -> FloatArray:
-        """Distance between each part of the arm and each of the object, m."""
+    def _apart(self, X_WB: list[RigidTransform]) -> FloatArray:
+        """Separation between each part of the arm and each of the object along each of its axes, m."""
         X_OW = X_WB[self._object].inverse()
         pose = {link: (X_OW @ X_WB[link]).GetAsMatrix34() for link in set(self._bodies)}
         X_OL = np.array([pose[link] for link in self._bodies])
-        points = np.einsum("pij,pkj->pki", X_OL[:, :, :3], self._corners) + X_OL[:, None, :, 3]
+        points = self._corners @ X_OL[:, :, :3].transpose(0, 2, 1) + X_OL[:, None, :, 3]
         low, high = points.min(axis=1)[:, None], points.max(axis=1)[:, None]
-        return np.maximum(low - self._high, self._low - high).max(axis=-1).ravel()
-
-    def _at_rest(self, context: Context) -> list[float]:
-        return [float(context.get_discrete_state_vector().GetAtIndex(0) > QUIET)]
+        return np.maximum(low - self._high, self._low - high).ravel()
 
 
 class Hold:
@@ -108,7 +109,8 @@ class Hold:
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         inspector = scene_graph.model_inspector()
-        own = plant.GetCollisionGeometriesForBody(plant.GetBodyByName(BODY))
+        self._object = plant.GetBodyByName(BODY).index()
+        own = plant.GetCollisionGeometriesForBody(plant.get_body(self._object))
         fixed = [
             shape for other in plant.GetBodiesWeldedTo(plant.world_body())
             for shape in plant.GetCollisionGeometriesForBody(other)
@@ -131,9 +133,10 @@ class Hold:
             root: Context of the diagram that they are in.
             held: whether to lock it.
         """
-        body, state = plant.GetBodyByName(BODY), plant.GetMyMutableContextFromRoot(root)
-        if held == body.is_locked(state):
+        body = plant.get_body(self._object)
+        if held == body.is_locked(plant.GetMyContextFromRoot(root)):
             return
+        state = plant.GetMyMutableContextFromRoot(root)
         contacts = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(root))
         if held:
             plant.SetVelocities(state, body.model_instance(), np.zeros(6))

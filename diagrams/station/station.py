@@ -117,8 +117,8 @@ class Station(PythonDiagram):
         Call it after each step of a simulator, with the Context of the diagram that the station is in.
         Without it, a simulation is slower.
         """
-        (at_rest,) = self._rest_watch.get_output_port().Eval(self._rest_watch.GetMyContextFromRoot(root))
-        self._hold.set(self.plant, self._scene_graph, root, bool(at_rest))
+        at_rest = self._rest_watch.at_rest(self._rest_watch.GetMyContextFromRoot(root))
+        self._hold.set(self.plant, self._scene_graph, root, at_rest)
 
 
 def take_fixed_steps(simulator: Simulator) -> None:
