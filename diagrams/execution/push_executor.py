@@ -229,7 +229,7 @@ class PushExecutor(PythonSystem):
         status, time = now.status, context.get_time()
         if status.mode not in ("home", "refused", "stopped"):
             assert now.plan is not None
-            mode = now.plan.at(time - now.begin)[0]
+            mode = now.plan.phase(time - now.begin)[0].mode
             if not now.running(time) and mode != "holding":
                 mode = now.last
             status = replace(status, mode=mode)

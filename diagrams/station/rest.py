@@ -35,15 +35,15 @@ _SAME = 1e-9  # m; a locked object that moved by more was placed from outside
 class RestWatch(PythonSystem):
     """Watches whether the object lies still and no part of the arm is about to touch it.
 
-    Inputs are the plant's `body_poses` and `body_spatial_velocities`. It is `at_rest` after `QUIET` during
-    which no point of the object was faster than the stiction tolerance, until the first check at which a point
-    is faster, the object has moved since the last check, or the arm is near; see `_ROOM`. Distances are those
-    of bounding boxes of single shapes along an axis of the object, which never exceed the distances between
-    the shapes.
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`, and `contact_forces`, the generalized
+    ones on the arm. It is `at_rest` while the arm is not near, see `_ROOM`, after `QUIET` during which the arm
+    touched nothing, no point of the object was faster than the stiction tolerance, and the object was not
+    moved from outside. Distances are those of bounding boxes of single shapes along an axis of the object,
+    which never exceed the distances between the shapes.
 
     Args:
         plant, scene_graph: finalized, with the object in it.
-        arm: model instances that may come near.
+        arm: model instances that may come near; the first one moves the others.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, arm: list[ModelInstanceIndex]) -> None:
@@ -61,25 +61,27 @@ class RestWatch(PythonSystem):
         self._corners = np.array([points for _, points in parts])
         self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
-        # Time at rest, s; pose at the last check, m; separation between each part of the arm and each of the
-        # object along each axis of the object, m. A single number would hide a part that approaches behind
-        # another.
-        self.DeclareDiscreteState(1 + _PLACE + 3 * len(self._corners) * len(self._low))
+        self.DeclareVectorInputPort("contact_forces", plant.num_velocities(arm[0]))
+        # Time at rest, s; whether the arm is near, 1 or 0; pose at the last check, m; separation between each
+        # part of the arm and each of the object along each axis of the object, m. A single number would hide
+        # a part that approaches behind another.
+        self.DeclareDiscreteState(2 + _PLACE + 3 * len(self._corners) * len(self._low))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
 
     def at_rest(self, context: Context) -> bool:
         """Whether the object lies still and no part of the arm is about to touch it."""
-        return bool(context.get_discrete_state_vector().GetAtIndex(0) > QUIET)
+        state = context.get_discrete_state_vector()
+        return bool(state.GetAtIndex(0) > QUIET and not state.GetAtIndex(1))
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
         fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
         before = context.get_discrete_state_vector().value()
-        if fastest >= STICTION:
+        if fastest >= STICTION or self.GetInputPort("contact_forces").Eval(context).any():
             values.set_value(np.zeros(len(before)))
             return
         X_WB = self.GetInputPort("body_poses").Eval(context)
-        still_for, place_before, apart_before = before[0], before[1 : 1 + _PLACE], before[1 + _PLACE :]
+        still_for, place_before, apart_before = before[0], before[2 : 2 + _PLACE], before[2 + _PLACE :]
         X_WO = X_WB[self._object]
         axes = self._reach * X_WO.rotation().matrix()
         place = np.column_stack([X_WO.translation(), axes]).ravel()
@@ -87,8 +89,7 @@ class RestWatch(PythonSystem):
         apart = self._apart(X_WB)
         later = apart - 2 * np.maximum(apart_before - apart, 0.0)
         near = later.reshape(-1, 3).max(axis=1).min() < _ROOM
-        still = not moved and not near
-        values.set_value(np.concatenate([[still_for + PERIOD if still else 0.0], place, apart]))
+        values.set_value(np.concatenate([[0.0 if moved else still_for + PERIOD, near], place, apart]))
 
     def _apart(self, X_WB: list[RigidTransform]) -> FloatArray:
         """Separation between each part of the arm and each of the object along each of its axes, m."""

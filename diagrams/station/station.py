@@ -95,6 +95,8 @@ class Station(PythonDiagram):
         watch = RestWatch(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
         self._rest_watch, self._scene_graph = builder.AddNamedSystem("rest_watch", watch), scene_graph
         connect_motion(builder, plant, watch)
+        touched = plant.get_generalized_contact_forces_output_port(self.arm.iiwa)
+        builder.Connect(touched, watch.GetInputPort("contact_forces"))
         self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
         for name in ("iiwa.age", "camera.age"):

@@ -45,12 +45,15 @@ class FingerMotion(PythonSystem):
 
     def _look(self, context: Context, state: State) -> EventStatus:
         before = context.get_discrete_state(0).value()
-        now = np.full(4, np.nan)
+        absent = bool(np.isnan(before[0]))
         if self.input(context, "execution").mode == "pushing":
             place = self.input(context, "tip_pose").translation()[:2]
-            velocity = (place - before[:2]) / self._period if np.isfinite(before[0]) else np.zeros(2)
-            now = np.concatenate([place, velocity])
-        state.set_value(now)
+            velocity = np.zeros(2) if absent else (place - before[:2]) / self._period
+            state.set_value(np.concatenate([place, velocity]))
+        elif absent:
+            return EventStatus.DidNothing()
+        else:
+            state.set_value(np.full(4, np.nan))
         return EventStatus.Succeeded()
 
 

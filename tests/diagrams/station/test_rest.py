@@ -6,14 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from pydrake.common.cpp_param import List
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
 from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
-from slipmap.diagrams.station.rest import QUIET
+from slipmap.diagrams.station.rest import PERIOD, QUIET, RestWatch
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, resting_pose
 from slipmap.diagrams.station.station import Station
@@ -143,10 +146,36 @@ def test_a_push_of_one_that_was_held_ends_as_that_of_one_that_was_not(speed: flo
     assert ends[0].IsNearlyEqualTo(ends[1], 1e-6)
 
 
-def _side(book: Watched) -> float:
-    """y of the book's side while it lies at the origin, m."""
+def test_it_must_lie_still_for_a_while_without_being_touched_but_may_have_something_near(book: Watched):
+    plant, arm = book.station.plant, book.station.arm
+    watch = RestWatch(plant, book.station.GetSubsystemByName("scene_graph"), [arm.iiwa, arm.gripper])
+    simulator = Simulator(watch)
+    context = simulator.get_mutable_context()
+    velocities = plant.GetOutputPort("body_spatial_velocities").Eval(plant.CreateDefaultContext())
+    watch.GetInputPort("body_spatial_velocities").FixValue(context, Value[List[SpatialVelocity]](velocities))
+    place = plant.CreateDefaultContext()
+    plant.SetFreeBodyPose(place, plant.GetBodyByName(BODY), resting_pose(0.0, 0.0, 0.0))
+
+    def after(duration: float, *, height: float, force: float = 0.0) -> bool:
+        tip = np.array([0.0, _side(book) + FINGER_RADIUS + 0.002, height])
+        plant.SetPositions(place, arm.iiwa, FingerKinematics(arm_model()).inverse(tip))
+        poses = plant.GetOutputPort("body_poses").Eval(place)
+        watch.GetInputPort("body_poses").FixValue(context, Value[List[RigidTransform]](poses))
+        watch.GetInputPort("contact_forces").FixValue(context, np.full(7, force))
+        simulator.AdvanceTo(context.get_time() + duration)
+        return watch.at_rest(context)
+
+    assert not after(2 * QUIET, height=0.01, force=0.1)
+    assert not after(QUIET / 2, height=0.2)  # not touched for too short a time
+    assert after(QUIET, height=0.2)
+    assert not after(2 * QUIET, height=0.01)
+    assert after(2.5 * PERIOD, height=0.2)  # near, but never touched
+
+
+def _side(book: Watched, axis: int = 1) -> float:
+    """x or y (axis 0 or 1) of the book's side while it lies at the origin, m."""
     grid = book.station.true_object.grid
-    return float(grid.centers[:, 1].max() + grid.width / 2)
+    return float(grid.centers[:, axis].max() + grid.width / 2)
 
 
 def test_one_that_was_put_elsewhere_by_hand_falls_from_there(book: Watched):
