@@ -32,6 +32,7 @@ from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.identification import learning
 from slipmap.diagrams.systems.loop_messages import CHOOSING, LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
+from slipmap.diagrams.systems.workers import time_in_place
 from slipmap.models.geometry import turn
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
@@ -88,6 +89,7 @@ class ExplorationRun:
     X_SO: FloatArray | None
     simulated: float  # s of simulated time, or of the real cell's time
     seconds: float  # s of computing time
+    thinking: float  # s of it for learning and for choosing pushes, as far as it was not done beside the run
     repair: Repair | None = None  # how the model was repaired during the run, if the run adapts
 
     @property
@@ -200,6 +202,7 @@ class LoopEnd:
     X_SO: FloatArray | None  # (3,) see `ExplorationRun`; None also if the object was never seen
     interrupted: bool  # whether Ctrl-C ended it
     seconds: float  # duration, s
+    thinking: float  # duration of what it had to wait for: learning and choosing pushes, s
 
     @property
     def simulated(self) -> float:
@@ -226,8 +229,8 @@ def run_loop(
         supervisor: name of the system whose status counts.
         last: final modes.
         longest: simulated time after which the loop is given up, s.
-        watch: called with the status and the loop's Context, whenever the status changes and every 50 ms: before
-            whatever learns from a new recording.
+        watch: called with the status and the loop's Context whenever the status changes and every 50 ms, so
+            before anything learns from a new recording.
 
     Raises:
         HardwareError: the real cell does not answer.
@@ -241,7 +244,7 @@ def run_loop(
     if not simulated:
         station.connect(context)
         simulator.set_target_realtime_rate(station.realtime_rate)
-    started = time.perf_counter()
+    started, thought = time.perf_counter(), time_in_place()
     first_look: list[FloatArray] = []
 
     block = loop.GetSubsystemByName(supervisor)
@@ -283,6 +286,7 @@ def run_loop(
         first_look[0] if first_look else None,
         interrupted,
         time.perf_counter() - started,
+        time_in_place() - thought,
     )
 
 
@@ -307,6 +311,7 @@ def explored(
         ended.X_SO,
         ended.simulated,
         ended.seconds + time.perf_counter() - started,
+        ended.thinking + time.perf_counter() - started,
         repair,
     )
 

@@ -146,7 +146,7 @@ def _window(image, camera, half, X):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _columns(camera, half, X, window, first, last):  # type: ignore[no-untyped-def]
-    """Set `first` and `last` (H,) to the columns between which a box with pose X is in each row of its window.
+    """Set `first` and `last` (H,) to the range of columns of a box with pose X in each row of its window.
 
     The range may be a little too large.
     """

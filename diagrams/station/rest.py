@@ -36,8 +36,8 @@ class RestWatch(PythonSystem):
     """Watches whether the object lies still and no part of the arm is about to touch it.
 
     Inputs are the plant's `body_poses` and `body_spatial_velocities`, and `contact_forces`, the generalized
-    ones on the arm. It is `at_rest` while the arm is not near, see `_ROOM`, after `QUIET` during which the arm
-    touched nothing, no point of the object was faster than the stiction tolerance, and the object was not
+    ones on the arm. It is `at_rest` while the arm is not near, see `_ROOM`, after `QUIET` during which the
+    arm touched nothing, no point of the object was faster than the stiction tolerance, and the object was not
     moved from outside. Distances are those of bounding boxes of single shapes along an axis of the object,
     which never exceed the distances between the shapes.
 

@@ -22,6 +22,8 @@ _NICER = 5  # niceness added to workers, as commands to the arm come first
 _HAND_OVER = 1e-3  # s after which a thread yields to another
 _EVERY = 1.0  # s between two looks whether the parent still runs
 
+_in_place = 0.0  # s
+
 
 def begun(
     worker: Executor | None,
@@ -36,12 +38,20 @@ def begun(
     """
     if worker is not None:
         return worker.submit(task, *args, **kwargs)
+    global _in_place
     future: Future[Result] = Future()
+    started = time.perf_counter()
     try:
         future.set_result(task(*args, **kwargs))
     except Exception as error:
         future.set_exception(error)
+    _in_place += time.perf_counter() - started
     return future
+
+
+def time_in_place() -> float:
+    """Time that this process has spent on tasks run in place, s; only differences have a meaning."""
+    return _in_place
 
 
 @contextmanager

@@ -261,7 +261,10 @@ def _show_exploration(run: ExplorationRun) -> None:
         paragraph(f"It took {run.seconds:.0f} s.")
     else:
         _show_truth(truth)
-        paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
+        paragraph(
+            f"{run.simulated:.0f} s of simulated time took {run.seconds - run.thinking:.0f} s; learning and"
+            f" choosing pushes took {run.thinking:.0f} s."
+        )
     paragraph(_monitor_words(run.watch))
 
 

@@ -52,7 +52,7 @@ def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatc
     def fails(*arguments: object) -> None:
         raise AssertionError("it learns")
 
-    end = LoopEnd(LoopStatus("pushing", 1), None, None, True, 1.0)  # type: ignore[arg-type]
+    end = LoopEnd(LoopStatus("pushing", 1), None, None, True, 1.0, 0.0)  # type: ignore[arg-type]
     monkeypatch.setattr(exploration_run, "run_loop", lambda *arguments: end)
     monkeypatch.setattr(exploration_run, "explored", fails)
     with pytest.raises(ExplorationStopped, match="stopped at push 2 of 3") as stopped:
