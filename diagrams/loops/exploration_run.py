@@ -43,7 +43,7 @@ from slipmap.models.progress import Progress, silent
 
 _LONGEST = 60.0  # s of simulated time per push, in addition to moving, after which the loop is given up
 _LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take time
-_WATCHED = 0.05  # s between two looks at a loop; between them nothing happens that a look could miss
+_WATCHED = 0.05  # s between two looks at a loop; nothing learns from a recording before it was looked at
 _WAY, _DOWN, _PUSHED = (
     4.0,
     0.8,
@@ -158,13 +158,15 @@ def explore(
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:
+        if recording is not None:
+            recording.look(context)
+        if status.mode not in DOING:
+            return
         doing = DOING[status.mode]
         seen = output_of(loop, "perception", "seen_object", context)
         if seen is not None and not seen.angle_seen:
             doing = f"{doing}; {ROUND}"
         report(f"exploring: {doing}", status.push, max(pushes, status.push + 1))
-        if recording is not None:
-            recording.look(context)
 
     with real_cell(scenario, hardware, options.effects) as (cell, worker):
         loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
@@ -230,7 +232,8 @@ def run_loop(
         last: final modes.
         longest: simulated time after which the loop is given up, s.
         watch: called with the status and the loop's Context whenever the status changes and every 50 ms, so
-            before anything learns from a new recording.
+            before anything learns from a new recording; and at the end of a run that Ctrl-C ends, then also
+            with a final status.
 
     Raises:
         HardwareError: the real cell does not answer.

@@ -45,7 +45,8 @@ def begun(
         future.set_result(task(*args, **kwargs))
     except Exception as error:
         future.set_exception(error)
-    _in_place += time.perf_counter() - started
+    finally:  # also if Ctrl-C ends it
+        _in_place += time.perf_counter() - started
     return future
 
 

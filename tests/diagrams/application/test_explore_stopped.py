@@ -6,9 +6,11 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from pydrake.systems.framework import Diagram
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
 from slipmap.diagrams.loops import exploration_run
@@ -58,3 +60,16 @@ def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatc
     with pytest.raises(ExplorationStopped, match="stopped at push 2 of 3") as stopped:
         explore(Scenario(), LoopOptions(pushes=2, checks=1), learn_when_stopped=False)
     assert stopped.value.run is None
+
+
+def test_a_real_cell_that_ctrl_c_stops_is_looked_at_once_more_with_its_final_status(monkeypatch) -> None:
+    status = LoopStatus("failed", 1, reason="stopped")
+
+    def stopped(loop: Diagram, supervisor: str, last: object, longest: float, watch: Callable) -> LoopEnd:
+        context = loop.CreateDefaultContext()
+        watch(status, context)
+        return LoopEnd(status, context, None, True, 1.0, 0.0)
+
+    monkeypatch.setattr(exploration_run, "run_loop", stopped)
+    with pytest.raises(ExplorationStopped, match="stopped after 0 of 3 pushes"):
+        explore(Scenario(), LoopOptions(pushes=2, checks=1))
