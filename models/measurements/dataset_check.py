@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import shapely
 
+from slipmap.models.files import plain
 from slipmap.models.geometry import angle_between, rotated, seen_from
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
@@ -126,7 +127,7 @@ class DatasetCheck:
 
     def to_json(self) -> dict[str, Any]:
         """For `--json`."""
-        return {**vars(self), "wrong": self.wrong}
+        return plain({**vars(self), "wrong": self.wrong})
 
 
 def check_dataset(dataset: PushDataset) -> DatasetCheck:

@@ -172,10 +172,10 @@ def test_it_must_lie_still_for_a_while_without_being_touched_but_may_have_someth
     assert after(2.5 * PERIOD, height=0.2)  # near, but never touched
 
 
-def _side(book: Watched, axis: int = 1) -> float:
-    """x or y (axis 0 or 1) of the book's side while it lies at the origin, m."""
+def _side(book: Watched) -> float:
+    """y of the book's side while it lies at the origin, m."""
     grid = book.station.true_object.grid
-    return float(grid.centers[:, axis].max() + grid.width / 2)
+    return float(grid.centers[:, 1].max() + grid.width / 2)
 
 
 def test_one_that_was_put_elsewhere_by_hand_falls_from_there(book: Watched):
