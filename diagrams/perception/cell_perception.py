@@ -208,7 +208,7 @@ class CellPerception(PythonSystem):
     first look determines whether this one does, and until then torn and repeated pictures are not detected.
 
     Args:
-        cells: wanted number of cells.
+        cells: rough number of cells, see `cells_from_polygon`.
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm is
             never in the picture.
         worker: processes the pictures and skips those that come meanwhile. If None, a thread of this process,

@@ -66,6 +66,7 @@ class _Seen:
     coasted: bool  # whether the object of any push was already sliding at the start
     touched: bool  # whether there was a finger
     forces: bool  # whether there are forces that count
+    recorded: bool  # whether there are any
     missed: float  # model error α
     contradicted: bool = False  # whether forces were left out because they contradict the contact
 
@@ -79,6 +80,7 @@ class _Seen:
             any(push.start_twist.any() for push in pushes),
             any(np.isfinite(push.tip).any() for push in pushes),
             any(observation.sliding.any() for observation in observations),
+            any(len(observation.forces) for observation in observations),
             likelihood.settings.model_error,
         )
 
@@ -212,9 +214,10 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         m, sx, sy, second = slider.inertia(maps.mass).T
         return second - (sx**2 + sy**2) / m
 
+    missing = "no measured force is of steady pushing" if seen.recorded else "no force was measured"
     no_force = (
-        "no force was measured: in slow motion along a given finger path, scaling all friction leaves every"
-        " pose unchanged"
+        f"{missing}: in slow motion along a given finger path, scaling all friction leaves every pose"
+        " unchanged"
     )
     if seen.contradicted:
         no_force = (
@@ -263,9 +266,9 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
                  "the contact slides in some pushes", no_contact),
     ]  # fmt: skip
-    for name, cells in _regions(slider):
+    for name, parts in thirds_of(slider.grid):
         measures.append(
-            _Measure(f"share of mass × friction, {name}", "-", _sum(share, cells), False,
+            _Measure(f"share of mass × friction, {name}", "-", _sum(share, parts), False,
                      "centre and arm of friction", "other distributions turn the object the same way", True)
         )  # fmt: skip
     return measures
@@ -275,17 +278,22 @@ def _column(of: Callable[[Maps], FloatArray], index: int) -> Callable[[Maps], Fl
     return lambda maps: of(maps)[:, index]
 
 
-def _sum(of: Callable[[Maps], FloatArray], cells: np.ndarray) -> Callable[[Maps], FloatArray]:
-    return lambda maps: of(maps)[:, cells].sum(axis=1)
+def _sum(of: Callable[[Maps], FloatArray], parts: FloatArray) -> Callable[[Maps], FloatArray]:
+    return lambda maps: of(maps) @ parts
 
 
-def _regions(slider: Slider) -> list[tuple[str, np.ndarray]]:
-    """Cells of each third of the footprint along its longer side, by name."""
-    centers = slider.grid.centers
-    if len(centers) < 6:
+def thirds_of(grid: CellGrid) -> list[tuple[str, FloatArray]]:
+    """Thirds of the footprint along its longer side by name, and how much of each cell lies in them (n,).
+
+    Of ten columns, three and a third lie in each. None for fewer than six cells.
+    """
+    if len(grid) < 6:
         return []
-    axis = int(np.argmax(np.ptp(centers, axis=0)))
-    low, high = centers[:, axis].min(), centers[:, axis].max()
-    place = np.clip(((centers[:, axis] - low) / (high - low + 1e-12) * 3).astype(int), 0, 2)
-    thirds = [(name, np.flatnonzero(place == k)) for k, name in enumerate(("low", "middle", "high"))]
-    return [(f"{name} {'xy'[axis]} third", cells) for name, cells in thirds if len(cells)]
+    axis = int(np.argmax(np.ptp(grid.centers, axis=0)))
+    place, half = grid.centers[:, axis], 0.5 * grid.width
+    borders = np.linspace(place.min() - half, place.max() + half, 4)
+    thirds = []
+    for name, left, right in zip(("low", "middle", "high"), borders, borders[1:], strict=False):
+        inside = np.minimum(place + half, right) - np.maximum(place - half, left)
+        thirds.append((f"{name} {'xy'[axis]} third", np.clip(inside / grid.width, 0.0, 1.0)))
+    return [(name, parts) for name, parts in thirds if parts.any()]

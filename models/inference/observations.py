@@ -12,6 +12,7 @@ from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from slipmap.models.geometry import rotated
 from slipmap.models.measurements import (
+    Channel,
     DatasetError,
     PushDataset,
     Trial,
@@ -35,6 +36,10 @@ MOST_PUSHES = 400
 """Most pushes of a dataset to learn from, which bounds time and memory."""
 
 T = TypeVar("T")
+
+_LONG_REST = 0.15
+"""A record in which the object moves for less than this share is cut to its motion, so that most of the poses
+and forces compared are not those of rest."""
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
@@ -84,13 +89,15 @@ class Observation:
 
 
 def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observation:
-    """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces.
+    """Prepare one trial: cut off long rests, smooth the finger's track, choose the step, average rows, mask
+    forces.
 
     Args:
         trial: as recorded.
         order: its place in the experiment, from 0.
         coarseness: factor by which steps may be longer than usual.
     """
+    trial = _without_long_rest(trial)
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
@@ -114,7 +121,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     if not trial.ends_only and not twist.any():
         start, start_rows = _resting_pose(trial.object_pose.values)
     rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int))[1:]
-    poses, pose_rows = _averaged_rows(trial.object_pose.values, rows)
+    poses, pose_rows = _averaged_rows(times, trial.object_pose.values, rows)
     force_times, forces, force_rows = _force_rows(trial)
     push = Push(
         step,
@@ -180,10 +187,34 @@ def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
     return poses[:still].mean(axis=0), still
 
 
-def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:
+def _without_long_rest(trial: Trial) -> Trial:
+    """The trial cut to its motion and half as long again before and after it, if most of it is rest."""
+    time, poses = trial.object_pose.time, trial.object_pose.values
+    if trial.ends_only or len(time) <= DENSE:
+        return trial
+    calm = uniform_filter1d(poses, AVERAGED, axis=0, mode="nearest")
+    from_start, to_end = (
+        np.hypot(*(calm[:, :2] - still[:2]).T) + 0.03 * np.abs(calm[:, 2] - still[2])
+        for still in calm[[0, -1]]
+    )
+    least = max(1e-3, 0.02 * float(from_start.max()))  # m
+    if not ((from_start > least).any() and (to_end > least).any()):
+        return trial
+    first, last = np.flatnonzero(from_start > least)[0], np.flatnonzero(to_end > least)[-1]
+    moving = float(time[last] - time[first])
+    if not 0.0 < moving < _LONG_REST * (time[-1] - time[0]):
+        return trial
+    kept = (time >= time[first] - 0.5 * moving) & (time <= time[last] + 0.5 * moving)
+    return replace(trial, object_pose=Channel(time[kept], poses[kept]))
+
+
+def _averaged_rows(times: FloatArray, poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:
     """Poses at given rows, averaged over neighbours where rows are dense, and the numbers averaged."""
     half = AVERAGED // 2 if len(poses) > DENSE else 0
     inner = (rows >= half) & (rows < len(poses) - half)
+    # Across a gap, such as that of an occlusion, the mean of neighbours is no pose on the track.
+    around = times[np.minimum(rows + half, len(times) - 1)] - times[np.maximum(rows - half, 0)]
+    inner &= around < 3.0 * half * np.median(np.diff(times))
     reach = np.where(inner, half, 0)
     means = [poses[row - n : row + n + 1].mean(axis=0) for row, n in zip(rows, reach, strict=True)]
     return np.array(means), 2.0 * reach + 1.0

@@ -213,6 +213,8 @@ class MapPrior(EffectCoordinates):
 
         def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they reproduce."""
+            if not free.any():
+                return np.zeros((K, self.basis.shape[1])), np.zeros_like(rows)
             # Otherwise the scale of masses would leak into coordinates of a basis as large as the grid.
             rows = rows - rows[:, free].mean(axis=1, keepdims=True)
             columns = np.column_stack([spread * self.basis, np.ones(self.basis.shape[0])])

@@ -32,7 +32,6 @@ _NOISE = {
     }.items()
 }  # fmt: skip
 
-_DEFAULT_CELLS = 60
 _STANDARD_GRAVITY = 9.81  # m/s²
 _SMALLEST_EXTENT = 1e-3  # m
 _LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers must be mm
@@ -160,7 +159,7 @@ def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
         if cells is None:
             from slipmap.models.objects.footprints import cells_from_polygon
 
-            return cells_from_polygon(outline, holes, count=_DEFAULT_CELLS)
+            return cells_from_polygon(outline, holes)
         cells = parsing.section(cells, ("width", "centers"), f"{where}.cells", warnings)
         width = _LENGTH.read(cells.get("width"), f"{where}.cells.width")
         centers = parsing.table(cells.get("centers"), 2, f"{where}.cells.centers")

@@ -84,7 +84,7 @@ def first_look(
     Args:
         frames: at least one depth image (H, W), m; 0 or NaN where there is no reading, inf beyond the range.
             A pixel's reading is the median over the frames that have one; an odd number is best.
-        cells: wanted number of cells.
+        cells: rough number of cells, see `cells_from_polygon`.
         blocked: (H, W) pixels that show the arm, such as from `draw_hulls`.
 
     Raises:
@@ -118,7 +118,7 @@ def _seen_object(
     """The object of a footprint, with points (k, 2) on its top and their heights (k,), m."""
     origin = np.asarray(seen_W.polygon.centroid.coords[0])
     polygon, edge = (shapely.transform(part, lambda xy: xy - origin) for part in seen_W[:2])
-    grid = cells_from_polygon(*rings_of(polygon), count=cells)
+    grid = cells_from_polygon(*rings_of(polygon), about=cells)
     points, tops = cloud[0] - origin, cloud[1]
     relief = Relief.from_cloud(edge, points, tops, pixel_size(view))
     inner, outline = _inner_points(edge), _outline(edge, seen_W.outline, origin)

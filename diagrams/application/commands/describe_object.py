@@ -113,7 +113,7 @@ def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) 
     closed = openings(read_picture(file), background) - len(grid.holes)
     if closed:
         note(f"openings closed as noise, each of less than 1 % of the object's area: {closed}")
-    return _footprint(grid)
+    return _footprint(grid, cells)
 
 
 def _modelled(
@@ -135,7 +135,7 @@ def _modelled(
     except ValueError as error:
         raise BadInput(_with_options(str(error))) from error
     standing = f", {1e3 * height:.3g} mm high with {axis} up"
-    return {**_footprint(grid), **({"height": round(height, 7)} if height > 0 else {})}, standing
+    return {**_footprint(grid, cells), **({"height": round(height, 7)} if height > 0 else {})}, standing
 
 
 def _with_options(text: str) -> str:
@@ -143,7 +143,10 @@ def _with_options(text: str) -> str:
     return text.replace("metres_per_unit=", "--metres-per-unit ").replace("background=", "--background ")
 
 
-def _footprint(grid: CellGrid) -> dict[str, Any]:
+def _footprint(outlined: CellGrid, about: int) -> dict[str, Any]:
+    from slipmap.models.objects.footprints import cells_from_polygon
+
+    grid = cells_from_polygon(outlined.exterior, outlined.holes, about=about)
     holes = [_written(hole) for hole in grid.holes]
     return {
         "outline": _written(grid.exterior),

@@ -17,6 +17,7 @@ from slipmap.diagrams.application.reports.effect_words import effect_in_words, i
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.results import (
     CandidateResult,
     DatasetResult,
@@ -26,7 +27,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
-from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
+from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH, far_above_noise
 from slipmap.models.measurements import PushDataset
 
 if TYPE_CHECKING:
@@ -132,7 +133,18 @@ def improvement(diagnosis: Diagnosis) -> str:
     return (
         f"{which}, the model is {path} off on average along the path {before_label(diagnosis)} and"
         f" {path_after} {after_label(diagnosis)}; at the end, {end} and {end_after} (ADD: mean distance"
-        " between the object's predicted and measured points)."
+        f" between the object's predicted and measured points).{_still_missed(diagnosis, after)}"
+    )
+
+
+def _still_missed(diagnosis: Diagnosis, after: LockedErrors) -> str:
+    """A sentence that begins with a space where the answer leaves the locked pushes far off; else empty."""
+    misfit = far_above_noise(after.misfit)
+    if misfit is None:
+        return ""
+    return (
+        f" Even {after_label(diagnosis)}, the typical locked push is {misfit:.0f} times the sensor noise off:"
+        " something else is missing too, the outline or the recording is wrong, or pushes scatter."
     )
 
 

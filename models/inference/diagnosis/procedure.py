@@ -64,6 +64,7 @@ from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.fewer_cells import with_fewer_cells
 from slipmap.models.inference.identification import learn
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
+from slipmap.models.inference.push_errors import repeated_pushes
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.trial_checks import fault_of_frame
@@ -291,6 +292,8 @@ class Inquiry:
         pushes = len(self.fitter.observations)
         if pushes < FEWEST_PUSHES:
             return outcomes.nothing_visible(self.base, f"{pushes} pushes")
+        if any(len(group) == pushes for group in repeated_pushes(self.fitter.observations)):
+            return outcomes.nothing_visible(self.base, "repeats of one push")
         if self.rules.blind(self.first):
             return outcomes.nothing_visible(self.base, "these pushes")
         if self.error.motion > ROUGH:

@@ -14,14 +14,22 @@ from report_page import assert_alone
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure
 from slipmap.diagrams.application.reports.diagnosis_report import compared, diagnosis_report
-from slipmap.diagrams.application.reports.diagnosis_words import push_facts, show_diagnosis, standing
+from slipmap.diagrams.application.reports.diagnosis_words import (
+    improvement,
+    push_facts,
+    show_diagnosis,
+    standing,
+)
 from slipmap.diagrams.application.reports.effect_words import READERS, effect_in_words, parameter_rows
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
+from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 ROOT = Path(__file__).resolve().parents[3]
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
@@ -302,3 +310,28 @@ def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):
     again = Belief.load(tmp_path / "b.npz")
     assert again.effects[0].name == "table_tilt"
     np.testing.assert_array_equal(again.maps.effects, belief.maps.effects)
+
+
+def test_an_answer_that_leaves_the_locked_pushes_far_off_says_so(tilted):
+    _, found = tilted
+    assert "times the sensor noise" not in improvement(found)
+    pushes = [
+        replace(push, errors=replace(push.errors, misfit=48.0)) if push.role == "heldout" else push
+        for push in found.with_effects.pushes
+    ]
+    off = replace(found, with_effects=replace(found.with_effects, pushes=tuple(pushes)))
+    assert "Even with table_tilt, the typical locked push is 48 times the sensor noise off" in improvement(
+        off
+    )
+
+
+def test_repeats_of_one_push_cannot_clear_the_model():
+    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.02)
+    maps = Maps(np.full((1, len(grid)), 0.08), np.full((1, len(grid)), 0.3), np.array([0.3]))
+    rng = np.random.default_rng(0)
+    (candidate,) = candidate_pushes(grid, 0.005, rng, 1, length=(0.06, 0.09), speed=(0.03, 0.1))
+    pushes = [candidate.push(np.zeros(3))] * 8
+    dataset = record_pushes(Slider(grid, 0.005), maps, pushes, rng, heldout=2)
+    found = diagnose(dataset, effects=EFFECTS, quick=True)
+    assert found.verdict == "undecided"
+    assert "repeats of one push could not have revealed most effects" in found.sentence

@@ -37,7 +37,7 @@ def test_a_mesh_becomes_an_object(slipmap, tmp_path, bracket):
     assert (dataset.name, dataset.mass, dataset.finger_radius) == ("bracket", 0.8, 0.006)
     assert dataset.grid.polygon.area == pytest.approx(0.12 * 0.03 + 0.03 * 0.05)
     assert dataset.grid.centers.min() > 0.0 and dataset.height == pytest.approx(0.02)
-    assert len(dataset.grid) == pytest.approx(40, rel=0.1)
+    assert 32 <= len(dataset.grid) <= 50
     assert said.out.startswith(f"bracket: 120 mm by 80 mm, 20 mm high with z up, {len(dataset.grid)} cells")
     assert dataset.warnings == ()
 

@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from slipmap.models.inference.belief import BeliefError
 from slipmap.models.inference.hypotheses import accuracy_weights
-from slipmap.models.inference.identifiability import Informed, friction_arms, quantities
+from slipmap.models.inference.identifiability import Informed, friction_arms, quantities, thirds_of
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.mixture import explain, mixed_belief
 from slipmap.models.inference.observations import observe_all
@@ -17,6 +17,7 @@ from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.prior import PriorSettings
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.physics.rollout import Maps
 
 
@@ -180,6 +181,15 @@ def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
     friction = Quantity("finger friction", "-", 0.298, 0.2931, 0.30391, True, "")
     assert str(friction) == "finger friction: 0.2931 to 0.3039"
     assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.2931 to 0.3039 kg"
+
+
+@pytest.mark.parametrize("columns", range(4, 16))
+def test_thirds_of_a_uniform_rectangle_are_thirds(columns):
+    """However many columns of cells it has: ten have three and a third of a column in each."""
+    long = 0.01 * columns
+    grid = cells_from_polygon([[0, 0], [long, 0], [long, 0.03], [0, 0.03]], width=0.01)
+    shares = [parts.sum() / len(grid) for _, parts in thirds_of(grid)]
+    assert shares == pytest.approx([1 / 3, 1 / 3, 1 / 3])
 
 
 def test_an_interval_is_as_wide_as_the_fits_allow_where_hypotheses_agree(recorded):

@@ -110,3 +110,10 @@ def test_true_maps_predict_better_than_learnt_ones_and_wrong_ones_are_doubted(re
     misled = learn(dataset, dataclasses.replace(known, friction=truth.mu[0][::-1]))
     assert misled.share_of_known == 0.0
     assert misled.errors("heldout").mean() > 3 * right.errors("heldout").mean()
+
+
+@pytest.mark.filterwarnings("error")
+def test_maps_near_given_ones_are_those_known_where_every_cell_is():
+    prior = prior_of(KnownMaps(np.full(N, 0.8 / N), np.full(N, 0.3)))
+    given = prior.maps(np.zeros((1, prior.size)))
+    assert not prior.near(given)[0, : 2 * prior.basis.shape[1]].any()

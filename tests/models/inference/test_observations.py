@@ -119,6 +119,38 @@ def test_first_touch_and_stop_do_not_count_as_force():
     assert not observation.sliding[-1] or times[observation.sliding].max() < 3.0
 
 
+def pushed_trial(rest: float = 0.0, gap: float = 0.0) -> Trial:
+    """A second of motion at 80 mm/s under 2 N, with rests before and after it, and a gap in its middle, s."""
+    t = np.arange(round((1.0 + 2.0 * rest) / 0.005)) * 0.005
+    x = 0.08 * np.clip(t - rest, 0.0, 1.0)
+    pose = np.column_stack([x, 0 * t, 0 * t])
+    seen = np.abs(t - rest - 0.5) >= 0.5 * gap
+    force = np.where((t > rest) & (t < rest + 1.0), 2.0, 0.0)
+    return Trial(
+        "t", "fit", Channel(t[seen], pose[seen]), Channel(t, np.column_stack([x - 0.04, 0 * t])),
+        Channel(t, np.column_stack([force, 0 * t, 0 * t])),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.1, 0.3])
+def test_poses_beside_a_gap_stay_on_the_track(gap):
+    observation = observe(pushed_trial(gap=gap))
+    expected = 0.08 * np.minimum(observation.push.pose_times, 1.0)
+    assert np.abs(observation.poses[:, 0] - expected).max() < 2e-4
+    assert observation.pose_rows.max() == 5
+
+
+@pytest.mark.parametrize("rest", [4.0, 20.0])
+def test_long_rests_leave_poses_and_forces_to_the_motion(rest):
+    observation = observe(pushed_trial(rest))
+    steps = np.diff(observation.poses[:, 0], prepend=0.0)
+    assert (steps > 1e-3).sum() > SAMPLES / 3
+    assert observation.sliding.sum() > SAMPLES / 4
+    assert observation.push.start_pose == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert observation.poses[-1] == pytest.approx([0.08, 0.0, 0.0], abs=1e-9)
+    assert np.allclose(observation.forces[observation.sliding], [2.0, 0.0])
+
+
 def test_two_row_trials_compare_at_the_end_alone(shared_data):
     dataset = read_dataset(shared_data / "real" / "mit_abs_rect1")
     observation = observe(dataset.trials[0])

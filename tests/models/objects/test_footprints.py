@@ -185,21 +185,48 @@ def test_the_unit_and_the_origin_do_not_matter(shape, scale, shift):
 
 def test_moments_of_a_box_with_a_hole_off_its_middle():
     outline, hole = shapely.box(1, 2, 5, 4), shapely.box(1.5, 2.5, 2.5, 3.0)
-    area, centroid, polar = polygon_moments(outline.difference(hole))
+    area, centroid, second = polygon_moments(outline.difference(hole))
     # Steiner: box 4 × 2 about (3, 3) less box 1 × 0.5 about (2, 2.75).
     middle = (8 * np.array([3, 3]) - 0.5 * np.array([2, 2.75])) / 7.5
-    expected = 8 * (16 + 4) / 12 + 8 * np.sum((middle - [3, 3]) ** 2)
-    expected -= 0.5 * (1 + 0.25) / 12 + 0.5 * np.sum((middle - [2, 2.75]) ** 2)
+    expected = 8 * np.diag([16, 4]) / 12 + 8 * np.outer(middle - [3, 3], middle - [3, 3])
+    expected -= 0.5 * np.diag([1, 0.25]) / 12 + 0.5 * np.outer(middle - [2, 2.75], middle - [2, 2.75])
     assert area == pytest.approx(7.5)
     assert_allclose(centroid, middle)
-    assert polar == pytest.approx(expected)
+    assert_allclose(second, expected)
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [[0, 0], [0.12, 0], [0.12, 0.06], [0, 0.06]],
+        [[0, 0], [0.12, 0], [0.12, 0.03], [0.04, 0.03], [0.04, 0.08], [0, 0.08]],
+        [[0, 0], [0.09, 0], [0.09, 0.09], [0, 0.09]],
+        [[0, 0], [0.12, 0], [0.03, 0.09]],
+    ],
+    ids=["rectangle", "L", "square", "triangle"],
+)
+def test_a_rough_number_of_cells_keeps_the_proportions_of_the_outline(outline):
+    grid = cells_from_polygon(outline)
+    area, centroid, wanted = polygon_moments(grid.polygon)
+    around = grid.centers - centroid
+    second = grid.width**2 * (around.T @ around + len(grid) * grid.width**2 / 12 * np.eye(2))
+    assert 48 <= len(grid) <= 75
+    assert len(grid) * grid.width**2 == pytest.approx(area, rel=0.01)
+    assert_allclose(second, wanted, rtol=0.02, atol=0.01 * np.trace(wanted))
+    assert np.hypot(*around.mean(axis=0)) < 0.02 * np.sqrt(area)
+
+
+def test_a_rough_number_falls_back_to_the_nearest_one():
+    thin = cells_from_polygon([[0, 0], [1, 0], [1, 0.001], [0, 0.001]], about=3)
+    assert len(thin) >= 1
+    assert len(cells_from_polygon([[0, 0], [1, 0], [1, 1], [0, 1]], about=1)) == 1
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "exactly one of count and width"),
-        ({"count": 4, "width": 0.01}, "exactly one of count and width"),
+        ({"count": 4, "width": 0.01}, "only one of count and width"),
+        ({"about": 0}, "about must be a whole number from 1"),
         ({"count": 0}, "count must be a whole number from 1"),
         ({"count": 3.5}, "count must be a whole number"),
         ({"count": True}, "count must be a whole number"),
