@@ -21,6 +21,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 _FINGER = ("tip", "finger", "tcp", "tool", "pusher", "effector", "ee_", "eef", "robot", "probe", "flange")
 _OBJECT = ("object", "obj", "block", "body", "vicon", "marker", "tag", "slider", "box", "item")
 _FORCE = ("force", "wrench", "ft", "netft", "load")
+_ANGLES = ("theta", "yaw", "angle", "heading", "phi", "rz")
 _MILLIMETRES = 5.0  # above which no position on a table is in m
 _FULL_TURN = 6.6  # rad
 _FLAT = 0.2  # share of the range of other axes in which a height varies
@@ -78,9 +79,9 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
             found += list(_candidates(source, pattern))
     force = _best([one for one in found if _is_force(one)], _FORCE)
     places = [one for one in found if not _is_force(one)]
-    poses = [one for one in places if one.turn is not None] or places
     finger = _best([one for one in places if one.speaks_of(_FINGER)], _FINGER)
-    pose = _best([one for one in poses if one is not finger], _OBJECT)
+    others = [one for one in places if one is not finger]
+    pose = _best([one for one in others if one.turn is not None] or others, _OBJECT)
     if pose is None:
         listed = "; ".join(one.source.listed for one in found[:3])
         raise DatasetError(
@@ -132,6 +133,8 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
         try:
             values = np.column_stack([source.numbers(column) for column in columns])
         except DatasetError:
+            if not source.decimal:  # its commas may be decimal or separate thousands
+                raise
             continue
         if np.isfinite(values).all(axis=1).any():
             yield _Found(source, file, columns, _turn(source, columns[0]), values)
@@ -148,7 +151,7 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
             return "quaternion", columns
     if first.endswith("_0") and {f"{stem}_{k}" for k in (3, 4, 5)} <= names:
         return "rotation_vector", tuple(f"{stem}_{k}" for k in (3, 4, 5))
-    for angle in ("theta", "yaw", "angle", "heading", "phi", "rz"):
+    for angle in _ANGLES:
         for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}"):
             if column in bare:
                 return "angle", (bare[column],)
@@ -160,7 +163,8 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         columns = tuple(alone[0][:-1] + axis for axis in "xyzw")
         if set(columns) <= names:
             return "quaternion", columns
-    return None
+    plain = [name for name in names if _bare(name).lower() in _ANGLES]
+    return ("angle", (plain[0],)) if len(plain) == 1 else None
 
 
 def _bare(name: str) -> str:

@@ -6,6 +6,7 @@ the columns are, `mapping` turns them into poses and forces, and `recordings` in
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--"
 """Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
+_WITH_THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d*)?")
 
 
 def check_size(path: Path, where: str) -> None:
@@ -54,7 +56,7 @@ class Source:
     time: FloatArray | None = None  # (T,) s, if the kind of file determines the column
     length: str = "m"  # unit of lengths, by the file or its kind
     up: str = "z"  # axis that points up, by the kind of file
-    decimal: str = "."  # decimal sign of numbers in texts
+    decimal: str = "."  # decimal sign of numbers in texts; empty if commas may also separate thousands
     first_row: int = 0  # number of the first row in error messages
     push: str = ""  # column that numbers pushes, if the kind of file has one
 
@@ -102,17 +104,26 @@ class Source:
         cells = self.columns[name]
         if isinstance(cells, np.ndarray):
             return cells
-        if self.decimal != ".":
-            cells = [cell.replace(".", "").replace(self.decimal, ".") for cell in cells]
+        texts = cells
+        if self.decimal == ",":
+            texts = [_with_point(cell) for cell in cells]
         try:
-            return np.array([cell or "nan" for cell in cells], dtype=float)
+            return np.array([text or "nan" for text in texts], dtype=float)
         except ValueError:
-            return np.array([self._number(cell, name, row) for row, cell in enumerate(cells)], dtype=float)
+            pairs = enumerate(zip(texts, cells, strict=True))
+            return np.array([self._number(text, cell, name, row) for row, (text, cell) in pairs], dtype=float)
 
-    def _number(self, cell: str, name: str, row: int) -> float:
-        if cell.strip().lower() in NO_NUMBER:
+    def _number(self, text: str, cell: str, name: str, row: int) -> float:
+        cell, where = cell.strip(), f"{self.where}, row {row + self.first_row}, {name}"
+        if cell.lower() in NO_NUMBER:
             return float("nan")
-        return parsing.number_in(cell, f"{self.where}, row {row + self.first_row}, {name}")
+        if not self.decimal and re.fullmatch(r"[-+]?\d+,\d+", cell):
+            raise DatasetError(
+                f"{where}: {parsing.shown(cell)} may be {float(cell.replace(',', '.')):g} or"
+                f" {cell.replace(',', '')}; write decimal points and no commas between thousands, or, if commas"
+                " are decimal, save the table with semicolons between the cells"
+            )
+        return parsing.number_in(text, where)
 
     def chosen(self, rows: NDArray[np.int_]) -> Source:
         """Some of the rows."""
@@ -122,6 +133,13 @@ class Source:
         }
         time = None if self.time is None else self.time[rows]
         return replace(self, columns=columns, time=time)
+
+
+def _with_point(cell: str) -> str:
+    """A number with a decimal comma, written with a point; points between thousands are left out."""
+    if "." in cell and not _WITH_THOUSANDS.fullmatch(cell.strip()):
+        return cell
+    return cell.replace(".", "").replace(",", ".")
 
 
 Reader = Callable[[Path, str], list[Source]]

@@ -29,7 +29,8 @@ _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
 _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
 """First line of some exports, which states the separator of the cells."""
 
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
+_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3}){2,}")
 _LINES_SNIFFED = 30
 _LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "m": "m", "cm": "cm", "mm": "mm"}
 
@@ -107,7 +108,7 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
     if not body or (comments and _is_header(lines[comments - 1].lstrip("# "), body[0], sign)):
         header_line = lines[comments - 1].lstrip("# ") if comments else ""
     rows = _rows("\n".join(body), sign, where)
-    decimal = "," if _uses_comma(rows) else "."
+    decimal = _decimal_sign(rows, sign)
     if header_line is not None:
         names = _rows(header_line, sign, where)[0] if header_line else []
     elif rows and all(_numeric(cell, decimal) for cell in rows[0]):
@@ -139,19 +140,27 @@ def _is_header(comment: str, line: str, sign: str | None) -> bool:
 
 def _numeric(cell: str, decimal: str = ".") -> bool:
     try:
-        float(cell.replace(decimal, ".") or "nan")
+        float(cell.replace(decimal or ",", ".") or "nan")
     except ValueError:
         return False
     return True
 
 
-def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
-    cells = [cell for row in rows[1:_LINES_SNIFFED] for cell in row]
-    commas = [cell for cell in cells if "," in cell and _numeric(cell, ",")]
-    points = any("." in cell and _numeric(cell, ".") for cell in cells)
-    if not commas or points or any("." in cell for cell in commas):
-        return False
-    return not all(_THOUSANDS.fullmatch(cell.strip()) for cell in commas)
+def _decimal_sign(rows: Sequence[Sequence[str]], sign: str | None) -> str:
+    """Decimal sign of the numbers in a table; empty if its commas may be decimal or separate thousands.
+
+    The first lines decide; where they cannot, all do.
+    """
+    for some in (rows[1:_LINES_SNIFFED], rows[1:]):
+        cells = [cell.strip() for row in some for cell in row if "," in cell or "." in cell]
+        if any("." in cell and _numeric(cell, ".") for cell in cells):
+            return "."
+        commas = [cell for cell in cells if _numeric(cell, ",")]
+        if not all(_THOUSANDS.fullmatch(cell) for cell in commas):
+            return ","
+    if not commas or any(_GROUPS.fullmatch(cell) for cell in cells):
+        return "."
+    return "," if sign == ";" else ""
 
 
 def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: str) -> bool:

@@ -129,6 +129,26 @@ def test_a_finger_in_the_plane_has_no_axis_up(tmp_path):
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
 
 
+def test_a_lone_yaw_is_the_angle(tmp_path):
+    names = ["t", "puck_x", "puck_y", "yaw", "tip_x", "tip_y"]
+    file = written(tmp_path / "p.csv", names, [TIME, POSE, TIP])
+    said = yaml.safe_load(guess_setup(file))
+    assert said["object_pose"]["position"] == ["puck_x", "puck_y"] and said["object_pose"]["angle"] == "yaw"
+
+    # The tool's own angle is not taken for that of an object without one.
+    (tmp_path / "two").mkdir()
+    written(tmp_path / "two" / "camera.csv", ["t", "puck_x", "puck_y"], [TIME, POSE[:, :2]])
+    written(tmp_path / "two" / "robot.csv", ["t", "tip_x", "tip_y", "yaw"], [TIME, TIP, 0.1 * TIME])
+    said = yaml.safe_load(guess_setup(tmp_path / "two"))
+    assert said["object_pose"]["position"] == ["puck_x", "puck_y"] and said["object_pose"]["angle"] is None
+
+
+def test_a_guess_says_that_commas_may_mean_either(tmp_path):
+    (tmp_path / "p.csv").write_text("t\tx\ty\tyaw\n1\t1,500\t2,500\t0\n")
+    with pytest.raises(DatasetError, match="'1,500' may be 1.5 or 1500"):
+        guess_setup(tmp_path / "p.csv")
+
+
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like an object's pose"):

@@ -46,8 +46,33 @@ def test_a_line_of_units_under_the_header_is_told(tmp_path):
     assert table.numbers("x")[1] == 1.5
 
 
-def test_thousands_are_no_decimals(tmp_path):
-    (table,) = source(tmp_path, 't,x\n1,"1,500"\n2,"2,500"\n')
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("t;x\n0,143;24,405\n0,153;102,734\n", [24.405, 102.734]),
+        ("t;x\n1;24,405\n2;102,734\n", [24.405, 102.734]),  # semicolons, since commas are decimal
+        ("t\tx\n1,000\t24,405\n2,000\t-0,734\n", [24.405, -0.734]),  # no group of thousands starts with 0
+        ("t\tx\n" + 40 * "1,000\t24,405\n" + "2,000\t24,40\n", [24.405] * 40 + [24.4]),
+        ("t;x\n0;1.024,5\n0,5;-2,25\n", [1024.5, -2.25]),
+        ("t;x\n" + 40 * "0;1,5\n" + "0;0.5\n", [1.5] * 40 + [0.5]),  # a later line of another dialect
+    ],
+)
+def test_decimal_commas_with_three_decimals(tmp_path, text, wanted):
+    (table,) = source(tmp_path, text)
+    assert table.numbers("x") == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("text", ['t,x\n1,"1,500"\n2,"2,500"\n', "t\tx\n1\t1,500\n2\t2,500\n"])
+def test_commas_of_either_meaning_are_refused(tmp_path, text):
+    (table,) = source(tmp_path, text)
+    assert table.numbers("t") == pytest.approx([1.0, 2.0])
+    with pytest.raises(DatasetError, match=r"row 0, x: '1,500' may be 1.5 or 1500; write decimal points"):
+        table.numbers("x")
+
+
+@pytest.mark.parametrize("text", ['t,x\n1,"1,500"\n2.5,"2,500"\n', "t;x\n1;1,500\n2;1,234,567\n"])
+def test_thousands_are_no_decimals(tmp_path, text):
+    (table,) = source(tmp_path, text)
     with pytest.raises(DatasetError, match="'1,500' is not a number"):
         table.numbers("x")
 
