@@ -2,7 +2,8 @@
 
 A `RunFolder` keeps the pushes; `PregraspFolder` and `ExplorationFolder` add what their commands need. A
 killed exploration loses nothing and can be continued (`resumed`). A `Recording` writes what a loop records.
-Only the same command may replace the pushes of a finished run (`refuse_others_files`).
+Only the same command may replace the pushes of a finished run, and only of a simulated one
+(`refuse_others_files`).
 """
 
 import dataclasses
@@ -57,13 +58,17 @@ def read_run(folder: Path, format_: str) -> dict[str, Any]:
     return run
 
 
-def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -> None:
-    """Refuse a folder in which a run would replace files other than those of an earlier run of its command.
+def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -> int:
+    """Refuse a folder in which a run would replace files other than those of an earlier simulated run of its
+    command.
 
     Args:
         format_: of the `run.json` of such a run.
         command: such as `slipmap explore`.
         files: that a run replaces in addition to the pushes.
+
+    Returns:
+        The number of pushes of the earlier run there.
 
     Raises:
         BadInput: names the folder, and `--out`.
@@ -72,7 +77,7 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     present = [pushes] if pushes.is_dir() and any(pushes.iterdir()) else []
     present += [folder / name for name in files if (folder / name).exists()]
     if not present:
-        return
+        return 0
     try:
         run = read_run(folder, format_)
     except BadInput:
@@ -87,6 +92,18 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
             f"{present[0]}: is not from a finished earlier run of `{command}` and would be lost; choose"
             " another folder with --out, or move it away"
         )
+    count = len(run["pushes"]) if pushes in present else 0
+    if count and not _simulated(run):
+        raise BadInput(
+            f"{folder}: holds an earlier run of a real cell with pushes recorded: {count}, which would be lost;"
+            " choose another folder with --out, or move it away"
+        )
+    return count
+
+
+def _simulated(run: dict[str, Any]) -> bool:
+    """Whether a run was made in simulation, as its `run.json` tells."""
+    return run.get("simulated") is True or all(push.get("place") is not None for push in run["pushes"])
 
 
 def refuse_robots_pushes(folder: Path, option: str) -> None:
@@ -146,12 +163,16 @@ class RunFolder:
     Args:
         kept: number of this run's pushes already in the folder.
 
+    Attributes:
+        replaces: number of pushes of an earlier run there, which are removed once this run has recorded one.
+
     Raises:
         BadInput: the dataset's place holds files that are not part of one.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, kept: int = 0) -> None:
         self._folder, self._scenario = folder, scenario
+        self.replaces = 0
         self._run: dict[str, Any] | None = None
         try:
             self._pushes = PushRecorder(folder / PUSHES, kept)
@@ -190,7 +211,7 @@ class RunFolder:
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
 
     def end(self) -> None:
-        """Mark the run as ended, successfully or not, so that another may replace it.
+        """Mark the run as ended, successfully or not, so that another may replace it if it was simulated.
 
         Raises:
             BadInput: like `keep`.
@@ -204,23 +225,24 @@ class PregraspFolder(RunFolder):
     """The folder of `slipmap pregrasp`, whose run cannot be continued.
 
     Args:
-        repeatable: whether the run, a simulation, may be replaced by another even if it is killed.
+        repeatable: whether the run, a simulation, may be replaced by another, even if it is killed.
 
     Raises:
-        BadInput: the folder has pushes that are not from a finished or repeatable earlier run of the command.
+        BadInput: the folder has pushes that are not from a repeatable earlier run of the command.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, *, repeatable: bool = False) -> None:
         super().__init__(folder, scenario)
         self._repeatable = repeatable
-        refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
+        self.replaces = refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
 
     def keep(self, recorded: RecordedRun) -> None:
         """See `RunFolder.keep`."""
         if self._run is None:
             self.clear()
         pushes = [{"digest": digest} for digest in _digests_of(recorded.trials)]
-        self._run = {"format": PREGRASP, "ended": self._repeatable, "pushes": pushes}
+        simulated = self._repeatable
+        self._run = {"format": PREGRASP, "ended": simulated, "simulated": simulated, "pushes": pushes}
         write_json(self._folder / RUN, self._run)
         super().keep(recorded)
 
@@ -291,8 +313,8 @@ class ExplorationFolder(RunFolder):
         before: content of the folder, if its run is continued.
 
     Raises:
-        BadInput: the folder has an interrupted run, files that are not part of a run, or pushes that are not
-            from an earlier run of the command.
+        BadInput: the folder has an interrupted run, a run of a real cell, files that are not part of a run,
+            or pushes that are not from an earlier run of the command.
     """
 
     def __init__(
@@ -303,7 +325,7 @@ class ExplorationFolder(RunFolder):
         super().__init__(folder, scenario, 0 if before is None else len(before.trials))
         self._options = options
         if before is None:
-            refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
+            self.replaces = refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
         else:
             self._run = read_run(folder, FORMAT)
 

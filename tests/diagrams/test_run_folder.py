@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from slipmap.diagrams.loops import exploration_run, pregrasp_loop
 from slipmap.diagrams.loops.exploration_loop import (
     LoopOptions,
     RecordedRun,
@@ -377,15 +378,48 @@ def test_a_run_of_one_command_does_not_give_way_to_another(whole, tmp_path):
             kind(tmp_path / folder, scenario())
 
 
-def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_does_not(whole, tmp_path):
+@pytest.mark.parametrize("hardware", [False, True])
+@pytest.mark.parametrize("command", ["explore", "pregrasp"])
+def test_a_run_of_a_real_cell_is_not_replaced(slipmap, whole, tmp_path, command, hardware):
+    if command == "explore":
+        record = recorded(tmp_path, replace(whole, places=(None,) * 4), 2)
+    else:
+        record = PregraspFolder(tmp_path, scenario())
+        record.keep(part(whole, 2))
+    record.end()
+    before = contents(tmp_path)
+    told = slipmap(command, "--out", tmp_path, "--pushes", 1, *(["--hardware"] if hardware else []))
+    assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
+    assert f"{tmp_path}: holds an earlier run of a real cell with pushes recorded: 2" in told.err
+    assert "choose another folder with --out" in told.err
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("command", ["explore", "pregrasp"])
+def test_a_simulated_run_is_replaced_and_the_command_says_so(slipmap, whole, tmp_path, monkeypatch, command):
+    def stop(*_, **__):
+        raise exploration_run.ExplorationFailed("it stops here")
+
+    monkeypatch.setattr(exploration_run, "explore", stop)
+    monkeypatch.setattr(pregrasp_loop, "pregrasp", stop)
+    first = slipmap(command, "--out", tmp_path)
+    assert first.code == 1 and "replaces" not in first.err
+    if command == "explore":
+        recorded(tmp_path, whole, 2).end()
+    else:
+        PregraspFolder(tmp_path, scenario(), repeatable=True).keep(part(whole, 2))
+    told = slipmap(command, "--out", tmp_path)
+    assert told.code == 1 and "it stops here" in told.err
+    said = f"this run replaces the earlier one in {tmp_path} (2 pushes); --out chooses another folder"
+    assert said in told.err.splitlines()
+
+
+def test_a_pregrasp_in_a_real_cell_that_was_cut_off_does_not_give_way(whole, tmp_path):
     record = PregraspFolder(tmp_path, scenario())
     for number in (1, 2):
         record.keep(part(whole, number))
     with pytest.raises(BadInput, match="earlier run of `slipmap pregrasp`"):
         PregraspFolder(tmp_path, scenario())
-    record.end()
-    PregraspFolder(tmp_path, scenario()).keep(part(whole, 1))
-    assert len(read_dataset(tmp_path / PUSHES).trials) == 1
 
 
 @pytest.mark.parametrize("call", [1, 2])
@@ -401,7 +435,7 @@ def test_a_simulated_pregrasp_that_was_killed_gives_way(whole, tmp_path, call):
 @pytest.mark.parametrize("call", [1, 2, 3])
 def test_a_pregrasp_killed_before_its_first_push_is_written_gives_way(whole, tmp_path, call):
     """At each rename: of the older run's pushes, of run file and pushes."""
-    record = PregraspFolder(tmp_path, scenario())
+    record = PregraspFolder(tmp_path, scenario(), repeatable=True)
     record.keep(part(whole, 2))
     record.end()
     killed_at(call, lambda: PregraspFolder(tmp_path, scenario()).keep(part(whole, 1)))

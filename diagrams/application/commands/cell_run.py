@@ -24,6 +24,7 @@ from slipmap.models.files import BadInput, write_text
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+    from slipmap.diagrams.loops.run_folder import RunFolder
     from slipmap.diagrams.station.scenario import ObjectSettings, Scenario
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
@@ -50,9 +51,9 @@ lcm_option = click.option(
 )  # fmt: skip
 
 
-def folder_option(default: str) -> Option:
-    """The option `--out DIR` for the results of a run."""
-    about = "Folder for pushes, belief, pictures and report."
+def folder_option(default: str, more: str = "") -> Option:
+    """The option `--out DIR` for the results of a run; `more` is added to its help."""
+    about = f"Folder for pushes, belief, pictures and report.{more}"
     return path_option("-o", "--out", "folder", default=default, metavar="DIR", about=about)
 
 
@@ -150,7 +151,7 @@ def cell_options(folder: str) -> Option:
             "--record", "recording",
             about="Write the whole run as an HTML page that plays it back without a network.",
         ),
-        folder_option(folder),
+        folder_option(folder, " An earlier simulated run there is replaced, one of a real cell never."),
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:
@@ -242,6 +243,13 @@ def leave(
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
+
+
+def tell_replaced(record: RunFolder, folder: Path) -> None:
+    """Print that an earlier run in the folder gives way, if there is one."""
+    if record.replaces:
+        pushes = f"{record.replaces} push{'es' * (record.replaces > 1)}"
+        note(f"this run replaces the earlier one in {folder} ({pushes}); --out chooses another folder")
 
 
 def show_files(written: Mapping[str, Path]) -> None:

@@ -123,6 +123,7 @@ def explore(
     lock_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
     cell.check_outputs(json_file)
+    cell_run.tell_replaced(record, cell.folder)
     if before is not None and resume is None:
         record.keep(before)
     failure, stopped = "", False
@@ -203,6 +204,7 @@ def pregrasp(
     lock_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario, repeatable=not cell.hardware)
     cell.check_outputs(json_file)
+    cell_run.tell_replaced(record, cell.folder)
     try:
         with cell.in_view() as (meshcat, progress):
             run = pregrasp_loop.pregrasp(
