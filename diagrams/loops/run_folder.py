@@ -95,8 +95,8 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     count = len(run["pushes"]) if pushes in present else 0
     if count and not _simulated(run):
         raise BadInput(
-            f"{folder}: holds an earlier run of a real cell with pushes recorded: {count}, which would be lost;"
-            " choose another folder with --out, or move it away"
+            f"{folder}: holds an earlier run of a real cell with pushes recorded: {count}, which would be"
+            " lost; choose another folder with --out, or move it away"
         )
     return count
 
@@ -210,14 +210,17 @@ class RunFolder:
         """
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
 
-    def end(self) -> None:
+    def end(self, complete: bool = True) -> None:
         """Mark the run as ended, successfully or not, so that another may replace it if it was simulated.
+
+        Args:
+            complete: whether nothing is left to do.
 
         Raises:
             BadInput: like `keep`.
         """
         if self._run is not None:
-            self._run["ended"] = True
+            self._run |= {"ended": True, "complete": complete}
             write_json(self._folder / RUN, self._run)
 
 
@@ -327,7 +330,7 @@ class ExplorationFolder(RunFolder):
         if before is None:
             self.replaces = refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
         else:
-            self._run = read_run(folder, FORMAT)
+            self._run = read_run(folder, FORMAT) | {"ended": False, "complete": False}
 
     def keep(self, recorded: RecordedRun) -> None:
         """See `RunFolder.keep`; an error also says what is kept and how to continue."""
@@ -386,6 +389,11 @@ class ExplorationFolder(RunFolder):
             raise BadInput(
                 f"{error}; {pushes} kept, continue with `slipmap explore --resume {self._folder}`"
             ) from error
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether nothing is left to do for the exploration in a folder. Raises BadInput like `read_run`."""
+    return read_run(folder, FORMAT).get("complete") is True
 
 
 def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:

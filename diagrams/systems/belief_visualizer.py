@@ -27,6 +27,7 @@ from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MAPS = ("mass", "friction", "mass x friction")
@@ -323,8 +324,9 @@ class BeliefVisualizer(PythonSystem):
         if alarming:
             last = judged[-1]
             name = f"notice/{last.trial}"
-            heading = f"Push {last.trial + 1} ended {1e3 * last.error:.1f} mm from its prediction"
-            line = f"expected: {1e3 * last.allowed:.1f} mm at most. Is the model missing something?"
+            error, allowed = beyond_in_millimetres(last.error, last.allowed)
+            heading = f"Push {last.trial:03d} ended {error} mm from its prediction"
+            line = f"expected: {allowed} mm at most. Is the model missing something?"
         elif found is not None:
             name = f"notice/{len(judged)}-{found.pushes}"
             heading = f"After push {found.pushes}: {_DID[found.action]}"

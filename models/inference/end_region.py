@@ -31,6 +31,20 @@ they say; those of a normal error are too wide for 50 % and too narrow for 95 %.
 
 MOST_FREEDOM = 1e6  # degrees of freedom; practically unlimited
 _LEAST_FREEDOM = 1.0
+_MOST_DIGITS = 6  # after the point, of millimetres
+
+
+def beyond_in_millimetres(error: float, allowed: float) -> tuple[str, str]:
+    """An error and the largest that would not surprise, m, in mm, with enough digits to see which is larger.
+
+    Hundredths of a millimetre below 1 mm, tenths from there; more where both would be written alike.
+    """
+    texts = [f"{1e3 * metres:.{2 if metres < 1e-3 else 1}f}" for metres in (error, allowed)]
+    for digits in range(2, _MOST_DIGITS + 1):
+        if (float(texts[0]) > float(texts[1])) == (error > allowed):
+            break
+        texts = [f"{1e3 * metres:.{digits}f}" for metres in (error, allowed)]
+    return texts[0], texts[1]
 
 
 @dataclass(frozen=True, eq=False)

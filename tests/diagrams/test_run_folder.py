@@ -27,6 +27,7 @@ from slipmap.diagrams.loops.run_folder import (
     UNDER_WAY,
     ExplorationFolder,
     PregraspFolder,
+    is_complete,
     resumed,
 )
 from slipmap.diagrams.station.scenario import Scenario
@@ -311,6 +312,20 @@ def test_what_cannot_be_asked_for_beside_resume_is_told(slipmap, whole, tmp_path
     said_by = slipmap("explore", "--resume", tmp_path, *arguments)
     assert said_by.code == 2 and "Traceback" not in said_by.err
     assert all(word in said_by.err for word in words)
+
+
+def test_a_complete_run_has_nothing_left_to_do(slipmap, whole, tmp_path):
+    recorded(tmp_path, whole, 4).end(complete=False)  # it gave up
+    assert not is_complete(tmp_path)
+    record = ExplorationFolder(tmp_path, scenario(), OPTIONS, resumed(tmp_path)[2])
+    record.keep(whole)
+    assert not json.loads((tmp_path / RUN).read_text())["ended"]  # while it goes on
+    record.end()
+    before = contents(tmp_path)
+    told = slipmap("explore", "--resume", tmp_path)
+    assert (told.code, told.out) == (0, "") and contents(tmp_path) == before
+    assert f"{tmp_path}: this run is complete, nothing is left to do" in told.err
+    assert f"`slipmap explore --after {tmp_path} --out FOLDER` makes more pushes" in told.err
 
 
 def test_a_run_in_a_real_cell_is_not_gone_on_with_in_simulation(slipmap, whole, tmp_path):

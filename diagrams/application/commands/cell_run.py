@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from slipmap.diagrams.application.commands.options import Option, bundled, complete_objects, path_option
+from slipmap.diagrams.application.commands.options import (
+    Option,
+    bundled,
+    complete_objects,
+    path_option,
+    typed,
+)
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import (
     Progress,
@@ -243,6 +249,12 @@ def leave(
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
+
+
+def go_on_exploring(cell: CellRun) -> str:
+    """The command that makes more pushes after those in a folder."""
+    again = " --hardware" if cell.hardware else ""
+    return f"`slipmap explore --after {typed([cell.folder])} --out FOLDER{again}`"
 
 
 def tell_replaced(record: RunFolder, folder: Path) -> None:

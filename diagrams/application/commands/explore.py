@@ -12,7 +12,7 @@ import click
 
 from slipmap.diagrams.application.commands import cell_run, options
 from slipmap.diagrams.application.outputs import lock_folder, make_folder
-from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.diagrams.application.terminal import note, paragraph, table
 from slipmap.models.files import BadInput, together, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
@@ -80,7 +80,7 @@ def explore(
     """
     from slipmap.diagrams.loops import exploration_run
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
-    from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationFolder, resumed
+    from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationFolder, is_complete, resumed
 
     before = None
     if resume is not None:
@@ -119,6 +119,13 @@ def explore(
     if before is not None and cell.hardware is not before.of_a_real_cell:
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to continue it")
+    asks_nothing = json_file is None and cell.recording is None
+    if resume is not None and asks_nothing and is_complete(resume):
+        note(
+            f"{resume}: this run is complete, nothing is left to do;"
+            f" {cell_run.go_on_exploring(cell)} makes more pushes"
+        )
+        return
     make_folder(cell.folder)
     lock_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
@@ -140,10 +147,10 @@ def explore(
             run, failure = error.run, f"{error}."
         with record.going_on(len(run.dataset.trials)), together():
             written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
-            record.end()
+            record.end(complete=not failure)
             write_json(json_file, {**_learned_json(run), "monitor": run.watch, "failure": failure})
     _show_exploration(run)
-    _show_surprises(run, cell.folder)
+    surprised = _show_surprises(run, cell.folder)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if failure:
@@ -152,6 +159,20 @@ def explore(
             f" {cell.folder}`."
         )
         raise cell_run.Stopped(kept) if stopped else click.ClickException(kept)
+    note(f"Next: {_next_step(cell, wrong=surprised or run.watch.alarm)}.")
+
+
+def _next_step(cell: cell_run.CellRun, *, wrong: bool) -> str:
+    """What to do after an exploration; `wrong` is whether pushes surprised the model beyond chance."""
+    go_on = cell_run.go_on_exploring(cell)
+    if wrong:
+        pushes = options.typed([cell.folder / "pushes"])
+        return f"`slipmap diagnose {pushes}`; {go_on} with `--effect` continues with the effect that it names"
+    belief = options.typed([cell.folder / "belief.npz"])
+    return (
+        f"open {cell.folder / 'report.html'}; predict other pushes of the object with `slipmap predict"
+        f" DATASET --belief {belief}`; {go_on} makes more pushes"
+    )
 
 
 @click.command()
@@ -270,14 +291,20 @@ def _show_exploration(run: ExplorationRun) -> None:
     paragraph(_monitor_words(run.watch))
 
 
-def _show_surprises(run: ExplorationRun, folder: Path) -> None:
-    """Print which pushes ended outside their intervals, and how the model was repaired if it was to adapt."""
+def _show_surprises(run: ExplorationRun, folder: Path) -> bool:
+    """Print which pushes ended outside their intervals, and how the model was repaired if it was to adapt.
+
+    Returns:
+        Whether these pushes are more, or farther out, than chance explains.
+    """
     from slipmap.diagrams.application.reports.diagnosis_words import repair_story
     from slipmap.diagrams.application.reports.tables import show_surprises
 
-    show_surprises(run.identification.pushes, str(folder / "pushes"))
+    where = options.typed([folder / "pushes"])
+    beyond_chance = show_surprises(run.identification.pushes, where, "the final belief's")
     for sentence in [] if run.repair is None else repair_story(run.repair, run.watch):
         paragraph(sentence)
+    return beyond_chance
 
 
 def _show_truth(truth: dict[str, Any]) -> None:
@@ -286,8 +313,8 @@ def _show_truth(truth: dict[str, Any]) -> None:
         "Centre of mass, and the truth that only the simulator knows",
         ["", "x, mm", "y, mm"],
         [
-            ["believed", *(f"{1e3 * value:.1f}" for value in believed)],
-            ["true", *(f"{1e3 * value:.1f}" for value in true)],
+            ["believed", *(f"{1e3 * value:z.1f}" for value in believed)],
+            ["true", *(f"{1e3 * value:z.1f}" for value in true)],
         ],
         numbers=(1, 2),
     )
@@ -297,6 +324,7 @@ def _show_truth(truth: dict[str, Any]) -> None:
 def _monitor_words(watch: Watch) -> str:
     """The monitor's summary, in a sentence or two."""
     from slipmap.diagrams.systems.model_monitor import LEVEL
+    from slipmap.models.inference.end_region import beyond_in_millimetres
 
     if not watch.judged:
         return "Monitor: no push was made after the first belief, so there was nothing to check it against."
@@ -306,15 +334,16 @@ def _monitor_words(watch: Watch) -> str:
     outside = [push for push in watch.judged if push.surprising]
     if outside:
         worst = max(outside, key=lambda push: push.error / push.allowed)
+        error, allowed = beyond_in_millimetres(worst.error, worst.allowed)
         numbers += (
-            f"; {len(outside)} outside the 95 % region, the worst being push {worst.trial + 1} with an error"
-            f" of {1e3 * worst.error:.1f} mm where at most {1e3 * worst.allowed:.1f} mm were expected"
+            f"; {len(outside)} outside the 95 % region, the worst being push {worst.trial:03d}, which ended"
+            f" {error} mm from the prediction of the belief at that time ({allowed} mm at most were expected)"
         )
     peak = max(push.evidence for push in watch.judged)
     if any(push.alarm for push in watch.judged):
         first = next(push.trial for push in watch.judged if push.alarm)
         return (
-            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since withdrawn'}:"
+            f"Monitor: ALARM from push {first:03d} on{'' if watch.alarm else ', since withdrawn'}:"
             f" {numbers}."
             " The object does not move as the model predicts. `slipmap diagnose` may say why, and"
             " `slipmap explore --after` continues with the effect that it names."

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from scipy.special import bdtrc
 
 from slipmap.models.inference.comparison import Comparison, JointComparison, Totals
-from slipmap.models.inference.end_region import LEVEL as LEVEL_INSIDE
+from slipmap.models.inference.end_region import LEVEL as LEVEL_INSIDE, beyond_in_millimetres
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.residual_structure import LEVEL, Pattern
 from slipmap.models.inference.sign_flips import smallest_p
@@ -102,8 +102,12 @@ class Surprises:
     beyond_chance: bool  # whether so many, or one so far out, are more than a correct model explains
 
 
-def surprises(pushes: Sequence[Prediction]) -> Surprises:
-    """Which pushes ended outside their regions, how far, and whether chance explains that."""
+def surprises(pushes: Sequence[Prediction], whose: str = "its") -> Surprises:
+    """Which pushes ended outside their regions, how far, and whether chance explains that.
+
+    Args:
+        whose: prediction it is, such as `the final belief's`.
+    """
     beyond_region = (push for push in pushes if push.surprising)
     found = sorted(beyond_region, key=lambda push: push.allowed_add - push.final_add)
     if not found:
@@ -112,9 +116,10 @@ def surprises(pushes: Sequence[Prediction]) -> Surprises:
     rarest = min(push.rarity for push in found)
     so_many = float(bdtrc(len(found) - 1, count, 1.0 - LEVEL_INSIDE))
     beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or rarest * count <= 1.0 - LEVEL_INSIDE
+    error, allowed = beyond_in_millimetres(worst.final_add, worst.allowed_add)
     text = (
-        f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction;"
-        f" {100 * LEVEL_INSIDE:.0f} % of such pushes should end within {millimetres(worst.allowed_add)} mm."
+        f"push {short_name(worst.trial)} ended {error} mm from {whose} prediction;"
+        f" {100 * LEVEL_INSIDE:.0f} % of such pushes should end within {allowed} mm."
     )
     if len(found) > 1:
         also = _listed_names([short_name(push.trial) for push in found[1:]])

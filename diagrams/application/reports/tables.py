@@ -8,6 +8,7 @@ import numpy as np
 from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison, JointComparison
+from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Errors, noise_floor
@@ -78,12 +79,20 @@ def _show_too_few_judges(pushes: Sequence[Prediction], where: str) -> None:
         )
 
 
-def show_surprises(pushes: Sequence[Prediction], where: str) -> None:
-    """Print which held-out pushes (all where none is held out) ended outside their intervals."""
+def show_surprises(pushes: Sequence[Prediction], where: str, whose: str = "its") -> bool:
+    """Print which held-out pushes (all where none is held out) ended outside their intervals.
+
+    Args:
+        whose: prediction it is, as in `surprises`.
+
+    Returns:
+        Whether they are more, or farther out, than chance explains.
+    """
     held = [push for push in pushes if push.role == "heldout"]
-    found = phrases.surprises(held or pushes)
+    found = phrases.surprises(held or pushes, whose)
     if found.text:
         paragraph(f"{found.text} {phrases.advice(where)}" if found.beyond_chance else found.text)
+    return found.beyond_chance
 
 
 def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
@@ -157,7 +166,8 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
         [
             phrases.short_name(push.trial),
             phrases.ROLES[push.role],
-            *map(_millimetres, (push.final_add, push.spread, push.uniform_add, push.no_motion_add)),
+            _error(push),
+            *map(_millimetres, (push.spread, push.uniform_add, push.no_motion_add)),
             remark(push),
         ]
         for push in shown
@@ -172,11 +182,19 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
     )
 
 
+def _error(push: Prediction) -> str:
+    """Error at the end, mm; with more digits where the remark could not be understood without them."""
+    text = _millimetres(push.final_add)
+    error, allowed = beyond_in_millimetres(push.final_add, push.allowed_add)
+    return error if push.surprising and float(text) <= float(allowed) else text
+
+
 def remark(push: Prediction) -> str:
     """Remark on a push that ended outside its interval or is sensitive to its start; empty for others."""
     said = []
     if push.surprising:
-        said.append(f"SURPRISING: at most {_millimetres(push.allowed_add)} mm expected")
+        _, allowed = beyond_in_millimetres(push.final_add, push.allowed_add)
+        said.append(f"SURPRISING: at most {allowed} mm expected")
     if push.start_sensitivity >= _SENSITIVE:
         said.append(f"sensitive: 0.5 mm at the start moves the end by {0.5 * push.start_sensitivity:.0f} mm")
     return "; ".join(said)
@@ -297,7 +315,7 @@ def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
     low, high = factor * quantity.low, factor * quantity.high
     decades = low > 0 and high > 5 * low
     numbers = [
-        f"{number:.{phrases.decimals(number if decades else high - low)}f}"
+        f"{number:z.{phrases.decimals(number if decades else high - low)}f}"
         for number in (*(factor * value for value in values), low, high)
     ]
     return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")

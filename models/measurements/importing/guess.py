@@ -163,8 +163,8 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         columns = tuple(alone[0][:-1] + axis for axis in "xyzw")
         if set(columns) <= names:
             return "quaternion", columns
-    plain = [name for name in names if _bare(name).lower() in _ANGLES]
-    return ("angle", (plain[0],)) if len(plain) == 1 else None
+    angles = [name for name in names if _bare(name).lower() in _ANGLES]
+    return ("angle", (angles[0],)) if len(angles) == 1 else None
 
 
 def _bare(name: str) -> str:

@@ -120,8 +120,8 @@ class Source:
         if not self.decimal and re.fullmatch(r"[-+]?\d+,\d+", cell):
             raise DatasetError(
                 f"{where}: {parsing.shown(cell)} may be {float(cell.replace(',', '.')):g} or"
-                f" {cell.replace(',', '')}; write decimal points and no commas between thousands, or, if commas"
-                " are decimal, save the table with semicolons between the cells"
+                f" {cell.replace(',', '')}; write decimal points and no commas between thousands, or, if"
+                " commas are decimal, save the table with semicolons between the cells"
             )
         return parsing.number_in(text, where)
 

@@ -9,9 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application.commands.explore import _monitor_words, _show_surprises
+from slipmap.diagrams.application.commands.cell_run import CellRun
+from slipmap.diagrams.application.commands.explore import (
+    _monitor_words,
+    _next_step,
+    _show_surprises,
+    _show_truth,
+)
+from slipmap.diagrams.application.reports.tables import show_errors
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
-from tests.made_predictions import made_prediction
+from slipmap.models.inference.end_region import beyond_in_millimetres
+from slipmap.models.measurements import Noise
+from tests.made_predictions import SQUARE, made_prediction
 
 
 def told(capsys: pytest.CaptureFixture[str], *pushes: Any) -> str:
@@ -24,7 +33,7 @@ def test_the_run_ends_with_the_push_that_surprised(capsys: pytest.CaptureFixture
     taught = made_prediction("trials/000.json")
     off = made_prediction("trials/005.json", "heldout", final_add=0.0221, excess=9.0)
     said = told(capsys, taught, off)
-    assert "push 005 ended 22.1 mm from its prediction" in said and "within 2.5 mm" in said
+    assert "push 005 ended 22.1 mm from the final belief's prediction" in said and "within 2.5 mm" in said
     assert "`slipmap diagnose demo/pushes`" in said
     assert told(capsys, taught, made_prediction("trials/005.json", "heldout")) == ""
 
@@ -34,6 +43,54 @@ def test_the_monitor_says_which_push_was_worst_though_it_gives_no_alarm() -> Non
     off = Judged(6, 2.0, 0.03, 3.0, False, 12.1e-3, 10e-3, True)
     said = _monitor_words(Watch(2, np.zeros(3), (usual, off)))
     assert "no alarm" in said
-    assert "1 outside the 95 % region, the worst being push 7" in said
-    assert "an error of 12.1 mm where at most 10.0 mm were expected" in said
+    assert "1 outside the 95 % region, the worst being push 006, which ended 12.1 mm from" in said
+    assert "the prediction of the belief at that time (10.0 mm at most were expected)" in said
     assert "region" not in _monitor_words(Watch(1, np.zeros(3), (usual,)))
+    alarm = Judged(6, 2.0, 0.03, 3.0, True, 12.1e-3, 10e-3, True)
+    assert "ALARM from push 006 on" in _monitor_words(Watch(2, np.zeros(3), (usual, alarm)))
+
+
+@pytest.mark.parametrize(
+    ("error", "allowed", "words"),
+    [
+        (3.0e-3, 1.8e-3, ("3.0", "1.8")),
+        (3.0e-3, 2.98e-3, ("3.00", "2.98")),
+        (1.04e-3, 0.998e-3, ("1.04", "1.00")),
+        (3.04e-3, 3.0399e-3, ("3.0400", "3.0399")),
+        (0.5e-3, 0.25e-3, ("0.50", "0.25")),
+        (2.0e-3, 2.0e-3, ("2.0", "2.0")),
+    ],
+)
+def test_an_error_is_seen_to_exceed_what_was_expected(error, allowed, words) -> None:
+    assert beyond_in_millimetres(error, allowed) == words
+
+
+def test_a_push_just_outside_its_interval_reads_so_in_every_line(capsys) -> None:
+    off = made_prediction("trials/005.json", "heldout", final_add=3.04e-3, excess=3.04 / 3.02)
+    show_errors([off], SimpleNamespace(noise=Noise(), grid=SQUARE), None)
+    rows = " ".join(capsys.readouterr().out.split())
+    assert "005 held out 3.04 2.0" in rows and "SURPRISING: at most 3.02 mm expected" in rows
+    assert "ended 3.04 mm from the final belief's prediction" in told(capsys, off)
+
+
+def test_a_zero_has_no_sign(capsys) -> None:
+    _show_truth(
+        {
+            "center_of_mass": [0.0664, -1e-9],
+            "center_of_mass_believed": [0.0664, -2e-5],
+            "center_of_mass_error": 2e-5,
+        }
+    )
+    said = capsys.readouterr().out
+    assert "66.4     0.0" in said and "-0.0" not in said
+
+
+def test_a_run_ends_with_what_to_do_next() -> None:
+    cell = CellRun(False, "", False, None, Path("my run"))
+    usual = _next_step(cell, wrong=False)
+    assert "open my run/report.html" in usual
+    assert "`slipmap predict DATASET --belief 'my run/belief.npz'`" in usual
+    assert "`slipmap explore --after 'my run' --out FOLDER`" in usual
+    wrong = _next_step(cell._replace(hardware=True), wrong=True)
+    assert wrong.startswith("`slipmap diagnose 'my run/pushes'`; ")
+    assert "`slipmap explore --after 'my run' --out FOLDER --hardware` with `--effect`" in wrong

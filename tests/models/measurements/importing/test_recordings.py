@@ -145,7 +145,7 @@ def test_a_lone_yaw_is_the_angle(tmp_path):
 
 def test_a_guess_says_that_commas_may_mean_either(tmp_path):
     (tmp_path / "p.csv").write_text("t\tx\ty\tyaw\n1\t1,500\t2,500\t0\n")
-    with pytest.raises(DatasetError, match="'1,500' may be 1.5 or 1500"):
+    with pytest.raises(DatasetError, match=r"'1,500' may be 1\.5 or 1500"):
         guess_setup(tmp_path / "p.csv")
 
 
