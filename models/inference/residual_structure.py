@@ -1,7 +1,7 @@
 """Where a model fails: the conditions on which the residual velocity and the residual force depend.
 
 A factor is a set of products feature × component. A component is a residual in some frame (along the motion,
-towards the table's x, counter-clockwise …); a feature is a number computed from the conditions. The factor
+along the table's x, counter-clockwise …); a feature is a number computed from the conditions. The factor
 matters where the sum of such a product over pushes is larger than chance explains. Each factor is tested with
 whole pushes as the unit of evidence (`sign_flips`), and all tests of one comparison are corrected together
 (Holm). Size and test refer to the coordinate that deviates most, and the test asks whether it exceeds a
@@ -69,7 +69,7 @@ class Factor:
             for when, feature in self.features(residuals.at).items():
                 scaled = feature if when == _ALWAYS else _standard(feature, residuals.weights)
                 if scaled is not None:
-                    names.append(what if when == _ALWAYS else f"{what}, {when}")
+                    names.append(what if when == _ALWAYS else f"{what}{THEN}{when}")
                     left.append(scaled)
                     right.append(values)
         if not names:
@@ -92,24 +92,24 @@ def _always(at: Conditions) -> Columns:
 
 
 def _table_place(at: Conditions) -> Columns:
-    return {"more at larger table x": at.place[:, 0], "more at larger table y": at.place[:, 1]}
+    return {"grows with table x": at.place[:, 0], "grows with table y": at.place[:, 1]}
 
 
 def _contact_place(at: Conditions) -> Columns:
     x, y = at.contact.T
-    return {"more at larger object x of the contact": x, "more at larger object y of the contact": y}
+    return {"grows with the contact's x": x, "grows with the contact's y": y}
 
 
 def _speed(at: Conditions) -> Columns:
-    return {"more at higher speed": np.log(np.maximum(at.speed, 1e-6))}
+    return {"grows with speed": np.log(np.maximum(at.speed, 1e-6))}
 
 
 def _harmonics(angle: FloatArray, share: FloatArray, frame: str) -> Columns:
     waves = {
-        f"moving towards {frame} +x rather than -x": np.cos(angle),
-        f"moving towards {frame} +y rather than -y": np.sin(angle),
-        f"moving along {frame} x rather than y": np.cos(2 * angle),
-        f"moving along the {frame}'s diagonals": np.sin(2 * angle),
+        f"more when moving towards {frame} +x rather than -x": np.cos(angle),
+        f"more when moving towards {frame} +y rather than -y": np.sin(angle),
+        f"more when moving along {frame} x rather than y": np.cos(2 * angle),
+        f"more when moving along the {frame}'s diagonals": np.sin(2 * angle),
     }
     return {name: share * wave for name, wave in waves.items()}
 
@@ -127,20 +127,20 @@ def _phase(at: Conditions) -> Columns:
 
 
 def _time(at: Conditions) -> Columns:
-    return {"more later in the push": at.share}
+    return {"grows during the push": at.share}
 
 
 def _order(at: Conditions) -> Columns:
-    return {"more in later pushes": at.push.astype(float)}
+    return {"grows from push to push": at.push.astype(float)}
 
 
 def _world(residuals: Residuals) -> Columns:
-    return {"towards table x": residuals.relative[:, 0], "towards table y": residuals.relative[:, 1]}
+    return {"along table x": residuals.relative[:, 0], "along table y": residuals.relative[:, 1]}
 
 
 def _in_object(residuals: Residuals) -> Columns:
     x, y = rotated(residuals.relative, -residuals.at.angle).T
-    return {"towards object x": x, "towards object y": y}
+    return {"along object x": x, "along object y": y}
 
 
 def _turning(residuals: Residuals) -> Columns:
@@ -205,6 +205,9 @@ NEGLIGIBLE = {"motion": 0.005, "force": 0.03, "delay": 0.005}
 """Sizes up to which patterns are ignored; the tests ask whether there is more. Half a percent of the travel
 is the model error that identification always allows; it weighs forces lightly, so their level is learned only
 to a few percent; and half the model's longest step, 5 ms, does not count as a delay."""
+
+THEN = "; "
+"""Between a component of the residual and the feature with which it varies, in `Pattern.strongest`."""
 
 OUTLYING = 2.0
 """A push whose residuals exceed those of the median push by more than this factor is scaled down to it."""

@@ -20,7 +20,13 @@ from slipmap.diagrams.application.figures.style import draw_outline, light_grid,
 from slipmap.diagrams.systems.look import FAINT, INK, PAPER, styled
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.comparison import Comparison
-from slipmap.models.inference.residual_structure import FORCE_FACTORS, MOTION_FACTORS, NEGLIGIBLE, Pattern
+from slipmap.models.inference.residual_structure import (
+    FORCE_FACTORS,
+    MOTION_FACTORS,
+    NEGLIGIBLE,
+    THEN,
+    Pattern,
+)
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Residuals
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -141,7 +147,7 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     pattern = pattern_of(comparisons[0], factor, quantity)
     if pattern is None:
         raise ValueError(f"{comparisons[0].label}: {factor} of {quantity} was not tested")
-    component = pattern.strongest.split(", ")[0]
+    component = pattern.strongest.split(THEN)[0]
     label, condition = CONDITIONS[factor]
     figure = Figure(figsize=_PANEL)
     axes = figure.add_axes((0.16, 0.21, 0.82, 0.68))

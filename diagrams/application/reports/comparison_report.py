@@ -350,7 +350,7 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
         for pattern in comparison.structure
     ]
     marked = [pattern.significant for pattern in comparison.structure]
-    columns = ["error in", "depends on", "mostly", "size (95 % interval)", "p", "p, all tests"]
+    columns = ["error in", "depends on", "mostly", "size (95 % interval)", "p, this test", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
     caption = (
         f"{head}{len(rows)} tests over {max((p.pushes for p in comparison.structure), default=0)} pushes,"

@@ -244,9 +244,10 @@ def sentence_part(pattern: Pattern) -> str:
 
 def _turned(pattern: Pattern) -> str:
     """Direction of a drift, with its sign."""
+    direction = pattern.strongest.replace("along ", "towards ")
     if pattern.size > 0:
-        return pattern.strongest.replace(" x", " +x").replace(" y", " +y")
-    opposite = pattern.strongest.replace(" x", " -x").replace(" y", " -y")
+        return direction.replace(" x", " +x").replace(" y", " +y")
+    opposite = direction.replace(" x", " -x").replace(" y", " -y")
     return opposite.replace("counter-clockwise", "clockwise")
 
 

@@ -259,7 +259,7 @@ def _show_patterns(result: Comparison, head: str) -> None:
     tests = len(result.structure)
     table(
         f"What the remaining error depends on{head}: strongest of {tests} tests (* significant)",
-        ["error in", "depends on", "size", "p"],
+        ["error in", "depends on", "size", "p, all tests"],
         [
             [
                 phrases.QUANTITIES[pattern.quantity],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -33,6 +34,7 @@ from slipmap.diagrams.application.reports.comparison_words import (
     summary_of_two,
 )
 from slipmap.diagrams.application.reports.html_page import Section, page, part, table
+from slipmap.diagrams.application.reports.tables import show_comparison
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.comparison import compare
 from slipmap.models.measurements import read_dataset
@@ -185,7 +187,7 @@ def test_a_push_that_surprises_stands_in_the_headline(learned):
 
 def test_patterns_in_words(learned):
     pattern = replace(learned[2].structure[0], quantity="force", factor="table_drift", p_corrected=0.001)
-    down = replace(pattern, strongest="towards table y", size=-0.1)
+    down = replace(pattern, strongest="along table y", size=-0.1)
     assert sentence_part(down) == "the force is off everywhere, towards table -y (10 %)"
     late = replace(pattern, quantity="delay", factor="delay", size=0.06)
     assert sentence_part(late) == "measured poses come 60 ms late"
@@ -272,10 +274,20 @@ def test_curves_show_means_over_pushes(learned):
     motion = result.motion
     component = next(p for p in result.structure if (p.factor, p.quantity) == ("order", "motion")).strongest
     axes = factor_figure([result], "order").axes[0]
-    assert axes.get_title(loc="left").lower() == component.split(", ")[0].lower()
+    assert axes.get_title(loc="left").lower() == component.split("; ")[0].lower()
     dots = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
     assert len(dots) == len(np.unique(motion.at.push))
     assert set(CONDITIONS) == {"speed", "table_direction", "object_direction", "phase", "time", "order"}
+
+
+def test_terminal_and_page_call_a_p_the_same(learned, capsys):
+    """The terminal has only the p that counts, the page that of the single test too."""
+    result = learned[2]
+    show_comparison([result])
+    said = capsys.readouterr().out
+    assert re.search(r"size +p, all tests$", said, re.M)
+    text = report([result], learned[0], "pushes")
+    assert ">p, this test</th>" in text and ">p, all tests</th>" in text
 
 
 def test_a_few_pushes_still_have_means_over_their_order(learned):

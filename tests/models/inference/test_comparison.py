@@ -96,7 +96,7 @@ def test_predictions_come_from_one_place(recorded, truth, monkeypatch):
     monkeypatch.setattr(prediction, "predicted_motion", stronger)
     found = compare(recorded.dataset, truth)
     first = found.structure[0]
-    assert (first.quantity, first.factor, first.strongest) == ("force", "table_drift", "towards table x")
+    assert (first.quantity, first.factor, first.strongest) == ("force", "table_drift", "along table x")
     assert first.size * found.force.scale[0] == pytest.approx(-1.0, rel=0.1)
     assert found.totals["fit"].model.final_add < 4 * found.floor.add
 

@@ -77,10 +77,15 @@ def wear(at):
 @pytest.mark.parametrize(
     ("effect", "factor", "strongest", "size"),
     [
-        (drift, "table_drift", "towards table y", -0.06),
-        (veer, "table_direction", "to the left of the motion, moving along table x rather than y", None),
+        (drift, "table_drift", "along table y", -0.06),
+        (
+            veer,
+            "table_direction",
+            "to the left of the motion; more when moving along table x rather than y",
+            None,
+        ),
         (faster, "speed", None, None),
-        (wear, "order", "along the motion, more in later pushes", None),
+        (wear, "order", "along the motion; grows from push to push", None),
     ],
 )
 def test_an_effect_is_found_under_its_name(effect, factor, strongest, size):
