@@ -107,6 +107,9 @@ class Effect:
     memory: ClassVar[tuple[str, ...]] = ()
     belongs_to: ClassVar[Owner] = "object"
 
+    def __repr__(self) -> str:
+        return f"<effect {getattr(self, 'name', type(self).__name__)}>"
+
     def friction(self, cell: Any, p: Any) -> Any:
         """Factor on the friction of a cell; 1 without the effect."""
         return None

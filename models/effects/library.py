@@ -481,7 +481,14 @@ class TorsionalFriction(Effect):
         return p.radius * body.weight, 1e-3, 0, 0, -1e3
 
 
-LIBRARY: tuple[Effect, ...] = (
+class _Library(tuple[Effect, ...]):
+    """The effects that slipmap knows, shown by name in signatures."""
+
+    def __repr__(self) -> str:
+        return "slipmap.LIBRARY"
+
+
+_EFFECTS = (
     ViscousFriction(),
     StribeckFriction(),
     AnisotropicTable(),
@@ -508,3 +515,5 @@ LIBRARY: tuple[Effect, ...] = (
     ForceGains(),
     ForceLatency(),
 )
+
+LIBRARY: tuple[Effect, ...] = _Library(_EFFECTS)

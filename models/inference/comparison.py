@@ -80,6 +80,13 @@ class Comparison:
     correlations: Correlations | None  # over time, or None where too few pushes were measured along the way
     seed: int  # of every random draw
 
+    def __repr__(self) -> str:
+        errors = ", ".join(
+            f"{1e3 * totals.model.final_add:.2f} mm over {totals.pushes} {role} pushes"
+            for role, totals in self.totals.items()
+        )
+        return f"Comparison({self.label!r} on dataset {self.dataset!r}; mean ADD at the end {errors})"
+
     @property
     def significant(self) -> tuple[Pattern, ...]:
         """Patterns that chance is unlikely to explain."""

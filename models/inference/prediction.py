@@ -74,6 +74,9 @@ class Prediction:
     end_interval: FloatArray
     end_region: EndRegion  # joint region of x, y and θ at the end at any level, from the same three sources
 
+    def __repr__(self) -> str:
+        return f"Prediction({self.trial!r}, {self.role}: ends {1e3 * self.final_add:.2f} mm off)"
+
     @property
     def surprising(self) -> bool:
         """Whether the measured end lies outside its 95 % region, as one in twenty does under a right model.

@@ -64,6 +64,10 @@ class Channel:
     time: FloatArray  # (T,) strictly increasing, s
     values: FloatArray  # (T, c) finite
 
+    def __repr__(self) -> str:
+        rows, columns = self.values.shape
+        return f"Channel({rows} rows of {columns}, {self.time[0]:g} to {self.time[-1]:g} s)"
+
     def __post_init__(self) -> None:
         time = np.ascontiguousarray(self.time, dtype=float)
         values = np.ascontiguousarray(self.values, dtype=float)
@@ -115,6 +119,10 @@ class Trial:
     tip_pose: Channel
     ft_wrench: Channel | None = None
     kept: bool = False
+
+    def __repr__(self) -> str:
+        rows = [f"{len(channel.time)} rows of {name}" for name, channel in self.channels.items()]
+        return f"Trial({self.name!r}, {self.role}: {', '.join(rows)})"
 
     def __post_init__(self) -> None:
         if self.role not in ("fit", "heldout"):
@@ -258,6 +266,19 @@ class KnownMaps:
     mass_ratios: bool = False
     friction_ratios: bool = False
 
+    def __repr__(self) -> str:
+        known = [
+            f"{'ratios of ' if ratios else ''}{name} of {np.isfinite(values).sum()} of {len(values)} cells"
+            for name, values, ratios in (
+                ("mass", self.mass, self.mass_ratios),
+                ("friction", self.friction, self.friction_ratios),
+            )
+            if values is not None
+        ]
+        if self.finger_friction is not None:
+            known.append(f"finger friction {self.finger_friction:g}")
+        return f"KnownMaps({', '.join(known)})"
+
     def __post_init__(self) -> None:
         shapes = []
         for name in ("mass", "friction"):
@@ -375,8 +396,9 @@ class PushDataset(Setup):
     provenance: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
+        fit = len(self.fit_trials)
         return (
-            f"PushDataset({self.name!r}: {len(self.grid)} cells; pushes: {len(self.fit_trials)} to fit,"
+            f"PushDataset({self.name!r}: {len(self.grid)} cells; {fit} push{'es' * (fit != 1)} to fit,"
             f" {len(self.heldout_trials)} held out)"
         )
 

@@ -40,6 +40,11 @@ class CellGrid:
     holes: tuple[FloatArray, ...] = field(default=())
     members: NDArray[np.int64] | None = None
 
+    def __repr__(self) -> str:
+        holes = f", {len(self.holes)} holes" if self.holes else ""
+        width = f"{1e3 * self.width:.3g} mm"
+        return f"CellGrid({len(self)} cells of {width}, {len(self.exterior)} corners{holes})"
+
     def __post_init__(self) -> None:
         centers = checked_points(self.centers, "cell centres")
         if len(centers) == 0:

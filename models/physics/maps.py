@@ -33,6 +33,10 @@ class Maps:
     mu_finger: FloatArray
     effects: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
+    def __repr__(self) -> str:
+        hypotheses, cells = self.mass.shape
+        return f"Maps({hypotheses} of {cells} cells, {self.effects.shape[1]} parameters of effects)"
+
     def __post_init__(self) -> None:
         mass, mu = (np.atleast_2d(np.ascontiguousarray(a, dtype=float)) for a in (self.mass, self.mu))
         finger = np.atleast_1d(np.ascontiguousarray(self.mu_finger, dtype=float))

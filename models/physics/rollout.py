@@ -71,6 +71,9 @@ class Rollouts:
     # (K, B) whether the object came so near the rim that cells may have been beyond it
     reached: NDArray[np.bool_]
 
+    def __repr__(self) -> str:
+        return f"Rollouts(models: {self.end.shape[0]}, pushes: {self.end.shape[1]})"
+
     @property
     def tipped(self) -> NDArray[np.bool_]:
         """(K, B) whether the object tips over the rim."""
@@ -246,6 +249,11 @@ class Slider:
             start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
             table_poses: (K, B, 3) pose of the table's world frame in that of the pushes, for each model and
                 push; by default the two frames coincide.
+
+        Returns:
+            Of K models and B pushes: `poses_of(b)` is (K, S, 3), x, y (m) and theta (rad) in the world at the
+            `pose_times` of push b; `forces_of(b)` is (K, T, 2), force of the finger on the object in the
+            world at its `force_times`, N; `end` is (K, B, 6), last pose and twist (object frame; m/s, rad/s).
 
         Raises:
             ValueError: maps for a different grid, or table poses of the wrong shape.

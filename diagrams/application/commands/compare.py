@@ -64,7 +64,11 @@ def predict(
             write_json(json_file, _prediction_document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors
 
-    click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learned from {belief.dataset}\n"))
+    click.echo(
+        printable(
+            f"dataset {measured.name}: {_pushes(len(pushes))}; belief learned from dataset {belief.dataset}\n"
+        )
+    )
     show_errors(pushes, measured, options.typed([dataset]))
     for path in drawn:
         note(f"picture: {path}")
@@ -203,7 +207,10 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
-    named = f"{first.dataset}, {len(first.pushes)} pushes; model learned from {first.learnt_from}\n"
+    named = (
+        f"dataset {first.dataset}: {_pushes(len(first.pushes))}; model learned from dataset"
+        f" {first.learnt_from}\n"
+    )
     click.echo(printable(named))
     show_comparison(results)
     for text in findings(results):
@@ -306,3 +313,7 @@ def _diagnose_together(
 
     show_together(result, measured, effects, where)
     note(f"report: {wanted.output}")
+
+
+def _pushes(count: int) -> str:
+    return f"{count} push{'es' * (count != 1)}"

@@ -271,7 +271,8 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     some = belief.method != "paper" and belief.taught < fit
     drawn = f" ({belief.taught} of them, drawn at random, were learned from)" if some else ""
     click.echo(
-        f"{printable(dataset.name)}: {len(dataset.grid)} cells; pushes: {fit} to fit{drawn},"
+        f"dataset {printable(dataset.name)}: {len(dataset.grid)} cells;"
+        f" {fit} push{'es' * (fit != 1)} to fit{drawn},"
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )

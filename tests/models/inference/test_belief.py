@@ -1,6 +1,8 @@
 """Belief files: whole round trip, and clear words for anything else."""
 
 import dataclasses
+import inspect
+import pickle
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import slipmap
 from slipmap.models.inference import belief
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.prediction import check_same_object
-from slipmap.models.measurements import Table
+from slipmap.models.measurements import KnownMaps, Table
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Smoothing
 
@@ -143,10 +145,29 @@ def test_a_belief_and_its_dataset_are_shown_in_a_line() -> None:
     """As the last line of a notebook's cell, too."""
     dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
     result = slipmap.identify(dataset, hypotheses=2, friction_laws=False)
-    assert repr(dataset) == "PushDataset('hammer': 60 cells; pushes: 2 to fit, 1 held out)"
+    assert repr(dataset) == "PushDataset('hammer': 60 cells; 2 pushes to fit, 1 held out)"
     assert repr(result.belief) == "Belief(dataset 'hammer': 2 hypotheses about 60 cells)"
     assert repr(result).startswith(f"Identification({result.belief!r}; mean ADD at the end ")
     assert repr(result).endswith("over 1 heldout pushes)")
+    trial, push = dataset.trials[0], result.pushes[0]
+    assert repr(trial).startswith(f"Trial('trials/000.json', fit: {len(trial.object_pose.time)} rows of")
+    assert repr(dataset.grid) == "CellGrid(60 cells of 12.5 mm, 8 corners)"
+    assert repr(result.belief.maps) == "Maps(2 of 60 cells, 0 parameters of effects)"
+    assert repr(push) == f"Prediction('trials/000.json', fit: ends {1e3 * push.final_add:.2f} mm off)"
+    known = KnownMaps(np.ones(60), np.where(np.arange(60) < 3, np.nan, 0.3), 0.25)
+    given_maps = "mass of 60 of 60 cells, friction of 57 of 60 cells, finger friction 0.25"
+    assert repr(known) == f"KnownMaps({given_maps})"
+    compared = repr(slipmap.compare(dataset, result.belief, seed=0))
+    assert compared.startswith("Comparison('model' on dataset 'hammer'; mean ADD at the end ")
+    for thing in (dataset, trial, trial.object_pose, dataset.grid, push, known, compared):
+        assert len(repr(thing)) < 200 and "\n" not in repr(thing)
+
+
+def test_signatures_name_the_library() -> None:
+    for function in (slipmap.diagnose, slipmap.effects_named, Belief.load):
+        assert "= slipmap.LIBRARY" in str(inspect.signature(function))
+    assert repr(slipmap.LIBRARY[4]) == "<effect table_tilt>"
+    assert len(pickle.loads(pickle.dumps(slipmap.LIBRARY))) == len(slipmap.LIBRARY)
 
 
 @pytest.mark.parametrize(("wider", "same"), [(8e-4, True), (2e-3, False)])
