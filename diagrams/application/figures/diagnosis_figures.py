@@ -232,12 +232,19 @@ def alone_figure(datasets: Sequence[DatasetResult], together: Sequence[Parameter
 
 
 @styled
-def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: PushDataset) -> Figure:
+def telling_push_figure(told: dict[str, Any] | None, diagnosis: Diagnosis, dataset: PushDataset) -> Figure:
     """Object, finger path and the ends that the rivals predict; beside it, how they diverge over time.
 
     Args:
-        told: result of `slipmap.planners.telling_push.next_push`.
+        told: the proposed push, `next_push` of the diagnosis.
+        diagnosis: result of `slipmap.diagnose`.
+        dataset: the one that was diagnosed.
+
+    Raises:
+        ValueError: no push was proposed.
     """
+    if told is None:
+        raise ValueError("the diagnosis proposes no push: its next_push is None")
     grid = dataset.grid
     push = push_of(told, float(len(dataset.trials)))
     rivals = rivals_of(diagnosis, dataset)[: len(_COLOURS)]

@@ -41,6 +41,7 @@ def effect_figure(effect: Effect) -> Figure:
 
     Raises:
         EffectError: the formula cannot be used.
+        TypeError: something other than an effect, such as a belief.
 
     Example:
         >>> import slipmap
@@ -48,6 +49,11 @@ def effect_figure(effect: Effect) -> Figure:
         >>> type(slipmap.figures.effect_figure(tilt)).__name__
         'Figure'
     """
+    if not isinstance(effect, Effect):
+        raise TypeError(
+            f"effect_figure draws an Effect, such as (tilt,) = slipmap.effects_named(['table_tilt']), not a"
+            f" {type(effect).__name__}"
+        )
     grid = _brick()
     push = _push()
     maps = _maps(grid)

@@ -271,6 +271,11 @@ def test_names_are_shown_as_they_are(belief, tmp_path):
     assert words(figure, tmp_path / "curves.svg").count(COSTLY) == 3
 
 
+def test_only_an_effect_is_drawn_as_one():
+    with pytest.raises(TypeError, match=r"effect_figure draws an Effect.*, not a Maps"):
+        effect_figure(Maps(np.ones((1, 4)), np.ones((1, 4)), np.ones(1)))
+
+
 def test_formulas_of_an_effect_are_set_as_formulas(tmp_path):
     tilt = next(effect for effect in LIBRARY if effect.name == "table_tilt")
     written = "".join(words(effect_figure(tilt), tmp_path / "tilt.svg"))

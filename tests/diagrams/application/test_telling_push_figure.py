@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from matplotlib.patches import PathPatch
 
 from slipmap.diagrams.application.figures import telling_push_figure
@@ -60,3 +61,8 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
     legend = crowded.legends[0].get_window_extent()
     assert len(crowded.legends[0].get_texts()) == 7
     assert all(axes.get_tightbbox().y0 >= legend.y1 for axes in crowded.axes)
+
+
+def test_no_picture_without_a_proposed_push():
+    with pytest.raises(ValueError, match="the diagnosis proposes no push"):
+        telling_push_figure(None, None, None)
