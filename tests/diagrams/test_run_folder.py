@@ -405,7 +405,7 @@ def test_a_run_of_a_real_cell_is_not_replaced(slipmap, whole, tmp_path, command,
     before = contents(tmp_path)
     told = slipmap(command, "--out", tmp_path, "--pushes", 1, *(["--hardware"] if hardware else []))
     assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
-    assert f"{tmp_path}: holds an earlier run of a real cell with pushes recorded: 2" in told.err
+    assert f"{tmp_path}: holds an earlier run with --hardware and pushes recorded: 2" in told.err
     assert "choose another folder with --out" in told.err
     assert contents(tmp_path) == before
 

@@ -157,7 +157,7 @@ def cell_options(folder: str) -> Option:
             "--record", "recording",
             about="Write the whole run as an HTML page that plays it back without a network.",
         ),
-        folder_option(folder, " An earlier simulated run there is replaced, one of a real cell never."),
+        folder_option(folder, " An earlier simulated run there is replaced, one with --hardware never."),
     ]  # fmt: skip
 
     def decorate(command: Any) -> Any:
