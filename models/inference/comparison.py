@@ -149,6 +149,7 @@ def compare(
         >>> comparison.label, len(comparison.pushes)
         ('model', 3)
     """
+    noise = sensor_noise(dataset)
     pushes: tuple[Prediction, ...] | None = None
     if belief is None:
         belief = identify(dataset, seed=seed, progress=progress)
@@ -163,7 +164,7 @@ def compare(
         check_same_object(belief, dataset)
         belief = belief.on(dataset.table)
         every = observe_all(dataset)
-        pushes = predict_observations(belief, every, sensor_noise(dataset), progress)
+        pushes = predict_observations(belief, every, noise, progress)
     report = progress or silent
     grid = belief.grid
     observations, motions = [push.observation for push in pushes], [push.motion for push in pushes]
@@ -172,7 +173,7 @@ def compare(
     report("looking for patterns", 0, 4)
     motion = motion_residuals(observations, motions, grid, belief.finger_radius)
     force = force_residuals(observations, motions, grid, belief.finger_radius)
-    floor = noise_floor(observations, dataset.noise, grid, rng)
+    floor = noise_floor(observations, noise, grid, rng)
     ends_only = all(push.ends_only for push in pushes)
     report("looking for patterns", 1, 4)
     patterns = factor_patterns(motion, "motion", rng, whole_pushes=ends_only) if motion is not None else []

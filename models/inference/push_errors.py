@@ -12,7 +12,6 @@ from scipy.special import stdtrit
 from slipmap.models.geometry import at_centroid, radius_of_gyration, relative, seen_from
 from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.observations import Observation, interpolated
-from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -136,15 +135,16 @@ class NoiseFloor:
     """Error below which two models cannot be told apart."""
 
     add: float  # ADD at the end of a push, m
-    source: str  # `repeats` or `declared noise`
+    source: str  # `repeats`, `declared noise` or `estimated noise`
     repeats: int  # number of pushes that have a repeat
     groups: tuple[tuple[str, ...], ...]  # names of pushes that repeat each other
 
 
 def noise_floor(
-    observations: Sequence[Observation], noise: Noise, grid: CellGrid, rng: np.random.Generator
+    observations: Sequence[Observation], noise: SensorNoise, grid: CellGrid, rng: np.random.Generator
 ) -> NoiseFloor | None:
-    """Scatter of repeated pushes if there are any, otherwise the declared pose noise; None without either.
+    """Scatter of repeated pushes if there are any, otherwise the ADD due to the noise of one pose; None where
+    that noise is only assumed.
 
     Repeats take precedence because they include unintended differences from push to push.
     """
@@ -153,10 +153,11 @@ def noise_floor(
         scatter = [value for group in groups for value in _scatter([observations[b] for b in group], grid)]
         names = tuple(tuple(observations[b].trial for b in group) for group in groups)
         return NoiseFloor(float(np.mean(scatter)), "repeats", len(scatter), names)
-    if noise.position is None and noise.angle is None:
+    if noise.assumed:
         return None
-    errors = rng.normal(size=(2000, 3)) * [noise.position or 0.0, noise.position or 0.0, noise.angle or 0.0]
-    return NoiseFloor(float(add(errors, np.zeros(3), grid.centers).mean()), "declared noise", 0, ())
+    errors = rng.normal(size=(2000, 3)) * noise.of_poses
+    source = "declared noise" if noise.declared else "estimated noise"
+    return NoiseFloor(float(add(errors, np.zeros(3), grid.centers).mean()), source, 0, ())
 
 
 def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:

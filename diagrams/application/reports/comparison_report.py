@@ -142,7 +142,10 @@ def _error_section(comparisons: Sequence[Comparison]) -> Section:
 def _floor(comparison: Comparison) -> str:
     floor = comparison.floor
     if floor is None:
-        text = "No noise is declared and no push was repeated, so the noise floor is unknown."
+        text = (
+            "The noise floor is unknown: no noise is declared, no push has enough poses for an estimate, and"
+            " none was repeated."
+        )
     elif floor.source == "repeats":
         text = (
             f"Noise floor {words.millimetres(floor.add)} mm: mean ADD between {floor.repeats} pushes and the"
@@ -151,7 +154,7 @@ def _floor(comparison: Comparison) -> str:
         )
     else:
         text = (
-            f"Noise floor {words.millimetres(floor.add)} mm: the ADD due to the declared noise of one pose."
+            f"Noise floor {words.millimetres(floor.add)} mm: the ADD due to the {floor.source} of one pose."
             " No push was repeated, so the scatter of real pushes is unknown."
         )
     return f'<p class="note">{escape(text)}</p>'

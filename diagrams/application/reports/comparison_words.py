@@ -18,7 +18,11 @@ ROLES = {"fit": "fit", "heldout": "held out"}
 QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
 """Quantities of patterns in words."""
 
-_NOISE = {"repeats": "repeated pushes scatter by", "declared noise": "sensor noise alone explains"}
+_NOISE = {
+    "repeats": "repeated pushes scatter by",
+    "declared noise": "sensor noise alone explains",
+    "estimated noise": "the estimated sensor noise alone explains",
+}
 
 
 def short_name(trial: str) -> str:

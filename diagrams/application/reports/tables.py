@@ -9,9 +9,10 @@ from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison, JointComparison
 from slipmap.models.inference.end_region import beyond_in_millimetres
+from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
 from slipmap.models.inference.prediction import Prediction
-from slipmap.models.inference.push_errors import Errors, noise_floor
+from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import PushDataset
 
@@ -24,6 +25,15 @@ _FEWEST_JUDGES = 3
 _MUCH_FARTHER = 2.0
 """Median ratio of error to spread over held-out pushes: 0.6 to 1.7 in nine recorded sets with a correct
 model; 2.2 to 3.2 with hidden effects, and for real pushes that the maps do not explain."""
+
+_EXPLAINED = {
+    "declared noise": "the spread of the hypotheses and the sensors' noise explain",
+    "estimated noise": "the spread of the hypotheses and the sensors' noise, estimated from the poses,"
+    " explain",
+    "": "the spread of the hypotheses explains; the sensors' noise is not known, `noise:` in dataset.yaml"
+    " declares it",
+}
+"""What errors are compared with, by the source of the noise."""
 
 HARDLY_BETTER = 0.8
 
@@ -98,12 +108,15 @@ def show_surprises(pushes: Sequence[Prediction], where: str, whose: str = "its")
 def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
     """Whether held-out pushes end much farther off than the belief allows, see `doubts`."""
     held = [push for push in pushes if push.role == "heldout"]
-    return len(held) >= _FEWEST_JUDGES and _excess(held, dataset) > _MUCH_FARTHER
+    return len(held) >= _FEWEST_JUDGES and _excess(held, _floor(dataset)) > _MUCH_FARTHER
 
 
-def _excess(held: Sequence[Prediction], dataset: PushDataset) -> float:
-    """Median ratio of the error to the spread of the hypotheses and the sensors' noise."""
-    floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
+def _floor(dataset: PushDataset) -> NoiseFloor | None:
+    return noise_floor([], sensor_noise(dataset), dataset.grid, np.random.default_rng(0))
+
+
+def _excess(held: Sequence[Prediction], floor: NoiseFloor | None) -> float:
+    """Median ratio of the error to the spread of the hypotheses and the sensors' noise, where it is known."""
     expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
     return float(np.median([push.final_add for push in held] / np.maximum(expected, 1e-6)))
 
@@ -134,9 +147,10 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
     errors = np.array([push.final_add for push in held])
     found = []
     if is_doubted(pushes, dataset):
+        floor = _floor(dataset)
         found.append(
-            f"The errors of held-out pushes are {_excess(held, dataset):.1f} times (median) what the spread"
-            " of the hypotheses and the sensors' noise explain. The intervals assume that the model is right"
+            f"The errors of held-out pushes are {_excess(held, floor):.1f} times (median) what"
+            f" {_EXPLAINED[floor.source if floor else '']}. The intervals assume that the model is right"
             " and do not cover this; `slipmap diagnose` looks for what it misses."
         )
     uniform = float(np.mean([push.uniform_add for push in held]))

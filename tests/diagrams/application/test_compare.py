@@ -159,6 +159,8 @@ def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_tol
     bad = replace(result, structure=quiet, totals={**result.totals, "heldout": wrong})
     said = headline(bad, "demo/pushes")
     assert "23 times what sensor noise alone explains, and 1 times the error of a uniform object" in said
+    guessed = replace(bad, floor=replace(floor, source="estimated noise"))
+    assert "23 times what the estimated sensor noise alone explains" in headline(guessed)
     assert said.endswith("diagnose demo/pushes` searches for the physical effect that the model misses.")
     assert "significant pattern" not in finding(bad)
     assert finding(bad).startswith("No single condition explains the remaining error")

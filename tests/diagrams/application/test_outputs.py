@@ -11,6 +11,7 @@ import subprocess
 import sys
 import termios
 from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 
 import click
@@ -20,6 +21,7 @@ from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
 from slipmap.diagrams.application.commands.identify import _chosen
+from slipmap.diagrams.application.demonstration import tilted_block
 from slipmap.diagrams.application.reports.comparison_words import surprises
 from slipmap.diagrams.application.reports.tables import (
     doubts,
@@ -31,16 +33,22 @@ from slipmap.diagrams.application.reports.tables import (
 )
 from slipmap.diagrams.application.terminal import Progress, table
 from slipmap.models.files import BadInput, whole_file, write_json
+from slipmap.models.inference.comparison import compare
+from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import Noise
+from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
+from slipmap.models.objects.benchmark_objects import hammer
+from slipmap.models.physics.rollout import Slider
+from slipmap.planners.exploration import candidate_pushes
 from tests.made_predictions import made_prediction as prediction
 
 
 def recorded_by(noise):
     """A dataset of a square, as far as its sensors go."""
     square = cells_from_polygon([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]], count=9)
-    return SimpleNamespace(noise=noise, grid=square)
+    return SimpleNamespace(noise=noise, grid=square, trials=())
 
 
 def test_json_knows_numpy_and_has_no_nan(tmp_path):
@@ -225,6 +233,40 @@ def test_errors_beyond_spread_and_noise_are_told(error, noise, said):
     if said:
         assert "slipmap diagnose" in found[0]
     assert doubts(held[:2], recorded_by(noise)) == []
+
+
+def identified_without_noise(dataset):
+    """The dataset with its noise not declared, and the doubts about what was learned from it."""
+    silent = replace(dataset, noise=Noise())
+    return silent, identify(silent, hypotheses=6, friction_laws=False)
+
+
+def test_errors_that_a_noisy_sensor_explains_are_no_doubt_though_it_does_not_declare_its_noise():
+    grid, truth = hammer()
+    rng = np.random.default_rng(1)
+    tracker = Noise(position=2e-3, angle=6e-3, tip=5e-5, force=0.05)
+    pushes = [
+        one.push([0.0, 0.0, turn])
+        for one, turn in zip(candidate_pushes(grid, 0.008, rng, 8), np.arange(8.0), strict=True)
+    ]
+    dataset = record_pushes(Slider(grid, 0.008), truth, pushes, rng, noise=tracker, heldout=4)
+    silent, learned = identified_without_noise(dataset)
+    assert not is_doubted(learned.pushes, silent)
+    floor = compare(silent, learned).floor
+    assert floor.source == "estimated noise"
+    assert floor.add == pytest.approx(compare(dataset, learned).floor.add, rel=0.3)
+
+
+def test_errors_of_a_wrong_model_are_told_though_no_noise_is_declared():
+    silent, learned = identified_without_noise(tilted_block())
+    said = doubts(learned.pushes, silent)[0]
+    assert "the spread of the hypotheses and the sensors' noise, estimated from the poses, explain" in said
+
+
+def test_noise_that_nobody_knows_is_not_said_to_explain_anything():
+    held = [prediction(role="heldout", final_add=0.0045) for _ in range(3)]
+    (said,) = doubts(held, recorded_by(Noise()))
+    assert "what the spread of the hypotheses explains; the sensors' noise is not known" in said
 
 
 def test_one_push_that_misses_by_more_than_its_interval_is_told(capsys):

@@ -1,5 +1,7 @@
 """Covariances of the error model, and noise found in rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from slipmap.models.inference.error_model import (
     travelled,
 )
 from slipmap.models.inference.observations import observe_all
+from slipmap.models.measurements import Channel, Noise
 
 NOISE = SensorNoise(2e-4, 2e-3, 0.1, True)
 
@@ -44,12 +47,31 @@ class TestSensorNoise:
         assert noise.position == recorded.dataset.noise.position
 
     def test_noise_is_found_where_nothing_is_declared(self, recorded) -> None:
-        from dataclasses import replace
-
-        from slipmap.models.measurements import Noise
-
         silent = replace(recorded.dataset, noise=Noise())
         found, declared = sensor_noise(silent), sensor_noise(recorded.dataset)
-        assert not found.declared
+        assert not found.declared and not found.assumed
         assert found.position == pytest.approx(declared.position, rel=0.25)
         assert found.force == pytest.approx(declared.force, rel=0.5)
+
+    @pytest.mark.parametrize("rows", [30, 60])
+    def test_noise_of_a_slow_camera_is_found_too(self, recorded, rows) -> None:
+        found, declared = sensor_noise(thinned(recorded.dataset, rows)), sensor_noise(recorded.dataset)
+        assert not found.declared and not found.assumed
+        assert 0.8 * declared.position < found.position < 1.6 * declared.position
+        assert 0.8 * declared.angle < found.angle < 1.6 * declared.angle
+
+    def test_noise_of_poses_is_assumed_where_only_ends_are_known(self, recorded) -> None:
+        found = sensor_noise(thinned(recorded.dataset, 2))
+        assert found.assumed and not found.declared
+        assert (found.position, found.angle) == (1e-4, 1e-3)
+
+
+def thinned(dataset, rows):
+    """The dataset with so many poses a push, from an unknown sensor."""
+
+    def fewer(pose):
+        kept = np.linspace(0, len(pose.time) - 1, rows).round().astype(int)
+        return Channel(pose.time[kept], pose.values[kept])
+
+    trials = tuple(replace(trial, object_pose=fewer(trial.object_pose)) for trial in dataset.trials)
+    return replace(dataset, noise=Noise(), trials=trials)

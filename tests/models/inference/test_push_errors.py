@@ -13,7 +13,6 @@ from slipmap.models.inference.push_errors import (
     repeated_pushes,
     resting_errors,
 )
-from slipmap.models.measurements import Noise
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Push
 
@@ -131,17 +130,23 @@ def test_scatter_of_repeats_is_the_floor():
     for _ in range(60):
         ends = [0.05, 0.0, 0.0] + rng.normal(size=(3, 3)) * [scatter, scatter, 0.0]
         pushes = [placed(rng.normal(size=3), end, tip, str(k)) for k, end in enumerate(ends)]
-        floor = noise_floor(pushes, Noise(position=1e-4), GRID, rng)
+        floor = noise_floor(pushes, NOISE, GRID, rng)
         assert floor is not None and floor.source == "repeats" and floor.repeats == 3
         floors.append(floor.add)
     # The mean length of a planar normal vector is σ √(π/2), whatever the size of the group.
     assert np.mean(floors) == pytest.approx(scatter * np.sqrt(np.pi / 2), rel=0.12)
 
 
-def test_declared_noise_is_the_floor_without_repeats():
+@pytest.mark.parametrize(("declared", "source"), [(True, "declared noise"), (False, "estimated noise")])
+def test_noise_of_a_pose_is_the_floor_without_repeats(declared, source):
     rng = np.random.default_rng(1)
     push = [observed([[0, 0, 0]])]
-    floor = noise_floor(push, Noise(position=1e-3, angle=0.0), GRID, rng)
-    assert floor is not None and floor.source == "declared noise"
+    noise = SensorNoise(1e-3, 0.0, 0.1, declared)
+    floor = noise_floor(push, noise, GRID, rng)
+    assert floor is not None and floor.source == source
     assert floor.add == pytest.approx(1e-3 * np.sqrt(np.pi / 2), rel=0.05)
-    assert noise_floor(push, Noise(), GRID, rng) is None
+
+
+def test_assumed_noise_is_no_floor():
+    noise = SensorNoise(1e-4, 1e-3, 0.1, declared=False, assumed=True)
+    assert noise_floor([observed([[0, 0, 0]])], noise, GRID, np.random.default_rng(1)) is None
