@@ -327,6 +327,8 @@ class BeliefVisualizer(PythonSystem):
             error, allowed = beyond_in_millimetres(last.error, last.allowed)
             heading = f"Push {last.trial:03d} ended {error} mm from its prediction"
             line = f"expected: {allowed} mm at most. Is the model missing something?"
+            if last.alarm:
+                line = f"expected: {allowed} mm at most. ALARM: {last.criterion}"
         elif found is not None:
             name = f"notice/{len(judged)}-{found.pushes}"
             heading = f"After push {found.pushes}: {_DID[found.action]}"

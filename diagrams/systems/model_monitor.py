@@ -51,6 +51,23 @@ class Judged:
     surprising: bool  # whether it ended outside the 95 % region, see `Prediction.surprising`
     effects: tuple[str, ...] = ()  # of the model at that time
     moved: float = np.nan  # how far the push moved the cells (ADD), m
+    outside: bool = False  # whether it ended outside the region of level 1 - LEVEL
+
+    @property
+    def criterion(self) -> str:
+        """By which criterion the alarm is on after this push, in words; empty where it is off."""
+        if not self.alarm:
+            return ""
+        met = [f"outside its {100 * (1.0 - LEVEL):.0f} % region"] if self.outside else []
+        if self.evidence >= 1.0 / LEVEL:
+            met.append(f"evidence {self.evidence:.3g}, at least {1.0 / LEVEL:.0f}")
+        return ", ".join(met) or "evidence still above 1"
+
+    @property
+    def cause(self) -> str:
+        """The criterion together with the error; empty where the alarm is off."""
+        numbers = f"ended {1e3 * self.error:.1f} mm off, {1e3 * self.allowed:.1f} mm allowed"
+        return f"{numbers}; {self.criterion}" if self.alarm else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +216,11 @@ class ModelMonitor(PythonSystem):
         middle = middle_poses(universes.poses, belief.probability, belief.grid)
         off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
         by_evidence = evidence >= 1.0 / LEVEL or (same and watch.alarm and evidence > 1.0)
+        outside = not region.holds(seen, 1.0 - LEVEL)
+        # Either suffices. Evidence adds up small errors that recur, but takes three pushes, however far off
+        # one of them ends; the region finds at once a model that is far off, but no error that stays within.
+        alarm = by_evidence or outside
         return Judged(
-            number, misfit, p, evidence, by_evidence or not region.holds(seen, 1.0 - LEVEL),
-            off, off / max(excess, 1e-9), not region.holds(seen), effects,
-            float(add(start, end, belief.grid.centers)),
+            number, misfit, p, evidence, alarm, off, off / max(excess, 1e-9), not region.holds(seen), effects,
+            float(add(start, end, belief.grid.centers)), outside,
         )  # fmt: skip

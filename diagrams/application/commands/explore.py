@@ -341,10 +341,10 @@ def _monitor_words(watch: Watch) -> str:
         )
     peak = max(push.evidence for push in watch.judged)
     if any(push.alarm for push in watch.judged):
-        first = next(push.trial for push in watch.judged if push.alarm)
+        first = next(push for push in watch.judged if push.alarm)
         return (
-            f"Monitor: ALARM from push {first:03d} on{'' if watch.alarm else ', since withdrawn'}:"
-            f" {numbers}."
+            f"Monitor: ALARM from push {first.trial:03d} on{'' if watch.alarm else ', since withdrawn'}"
+            f" ({first.cause}): {numbers}."
             " The object does not move as the model predicts. `slipmap diagnose` may say why, and"
             " `slipmap explore --after` continues with the effect that it names."
         )

@@ -94,3 +94,13 @@ def test_a_run_ends_with_what_to_do_next() -> None:
     wrong = _next_step(cell._replace(hardware=True), wrong=True)
     assert wrong.startswith("`slipmap diagnose 'my run/pushes'`; ")
     assert "`slipmap explore --after 'my run' --out FOLDER --hardware` with `--effect`" in wrong
+
+
+def test_the_monitor_says_by_which_criterion_it_gives_the_alarm() -> None:
+    far = Judged(3, 2.7, 0.021, 3.36, True, 17.3e-3, 10.5e-3, True, outside=True)
+    after = Judged(4, 1.0, 0.5, 2.4, True, 2e-3, 5e-3, False)
+    said = _monitor_words(Watch(2, np.zeros(3), (far, after)))
+    assert "ALARM from push 003 on (ended 17.3 mm off, 10.5 mm allowed; outside its 99 % region):" in said
+    assert after.criterion == "evidence still above 1"
+    many = Judged(5, 2.0, 0.01, 134.0, True, 6e-3, 7e-3, False)
+    assert many.cause == "ended 6.0 mm off, 7.0 mm allowed; evidence 134, at least 100"

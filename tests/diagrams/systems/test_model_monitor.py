@@ -214,6 +214,8 @@ def test_one_push_far_outside_its_region_is_told_at_once(diagram: Diagram) -> No
     first, wrong, *_, last = rows[-1].pushes
     assert [push.surprising for push in rows[-1].pushes[:3]] == [False, True, False]
     assert wrong.error == pytest.approx(0.02, rel=0.2) and wrong.allowed < wrong.error / 2
+    assert wrong.outside and wrong.criterion == "outside its 99 % region"
+    assert not any(push.outside for push in (first, last))
     assert first.error < first.allowed and last.error < last.allowed
 
 
