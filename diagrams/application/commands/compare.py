@@ -203,7 +203,7 @@ def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Predicti
 
 def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     """Print the comparison of one model, or of two over the same pushes; `where` is the dataset's path."""
-    from slipmap.diagrams.application.reports.comparison_words import findings, headline
+    from slipmap.diagrams.application.reports.comparison_words import chance_surprises, findings, warning
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
@@ -215,8 +215,8 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     show_comparison(results)
     for text in findings(results):
         paragraph(text)
-    if loud := headline(results[-1], where):
-        paragraph(loud)
+    if outside := warning(results[-1], where) or chance_surprises(results[-1]):
+        paragraph(outside)
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:

@@ -65,9 +65,11 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learned}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model and measurement"
-    headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
-    lead = [text for text in (others, *words.findings(comparisons)) if text]
-    return page(title, subtitle, lead, sections, headline + dot.rstrip())
+    last = comparisons[-1]
+    headline, dot, others = words.warning(last, where).partition(". ")
+    headline = headline + dot.rstrip() or words.mean_error(last, named=len(comparisons) > 1)
+    found = (others, *words.findings(comparisons), words.chance_surprises(last))
+    return page(title, subtitle, [text for text in found if text], sections, headline)
 
 
 def joint_comparison_report(found: JointComparison, datasets: Sequence[PushDataset]) -> str:

@@ -63,20 +63,37 @@ NO_BETTER = 0.95
 """Share of a uniform object's error from which the maps are said to predict no better."""
 
 
-def headline(comparison: Comparison, where: str = "DATASET") -> str:
-    """The main warning: a model no better than a uniform object, or pushes that ended outside their regions;
+def warning(comparison: Comparison, where: str = "DATASET") -> str:
+    """A model no better than a uniform object, or pushes that ended outside their regions beyond chance;
     empty where there is neither.
 
     Args:
         where: the dataset, as a command takes it.
     """
-    role, _ = judged(comparison)
-    far_off = no_better_than_uniform(comparison)
-    surprise = surprises([push for push in comparison.pushes if push.role == role])
-    said = [text for text in (far_off, surprise.text) if text]
-    if far_off or surprise.beyond_chance:
-        said.append(advice(where))
-    return " ".join(said)
+    far_off, surprise = no_better_than_uniform(comparison), _surprises_of(comparison)
+    if not (far_off or surprise.beyond_chance):
+        return ""
+    return " ".join(text for text in (far_off, surprise.text, advice(where)) if text)
+
+
+def chance_surprises(comparison: Comparison) -> str:
+    """Pushes that ended outside their regions, if chance explains them and there is no `warning`."""
+    return "" if warning(comparison) else _surprises_of(comparison).text
+
+
+def mean_error(comparison: Comparison, *, named: bool = False) -> str:
+    """The mean error of the pushes that count, in a sentence.
+
+    Args:
+        named: whether to name the model.
+    """
+    role, totals = judged(comparison)
+    which = {"heldout": "held-out ", "fit": "fitted " * (comparison.learnt_from == comparison.dataset)}[role]
+    error = f"{millimetres(totals.model.final_add)} mm"
+    text = (f"{which}pushes end {error} from their predicted ends on average").capitalize()
+    if totals.pushes == 1:
+        text = f"The {which}push ends {error} from its predicted end"
+    return f"{text} ({comparison.label})." if named else f"{text}."
 
 
 def advice(where: str) -> str:
@@ -137,6 +154,11 @@ def surprises(pushes: Sequence[Prediction], whose: str = "its") -> Surprises:
     return Surprises(start + text, beyond)
 
 
+def _surprises_of(comparison: Comparison) -> Surprises:
+    role, _ = judged(comparison)
+    return surprises([push for push in comparison.pushes if push.role == role])
+
+
 def _listed_names(names: Sequence[str]) -> str:
     shown = list(names[:5]) + ([f"{len(names) - 5} more"] if len(names) > 5 else [])
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
@@ -169,7 +191,7 @@ def finding(comparison: Comparison) -> str:
                 f" at least {pushes_needed(tests)} pushes."
             )
         text = "The remaining error shows no significant pattern above the negligible size"
-        if headline(comparison):
+        if warning(comparison):
             text = "No single condition explains the remaining error"
         most = max(pattern.pushes for pattern in comparison.structure)
         if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:

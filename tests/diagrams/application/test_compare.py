@@ -25,13 +25,16 @@ from slipmap.diagrams.application.figures import (
 from slipmap.diagrams.application.figures.residual_figures import CONDITIONS, residual_figures
 from slipmap.diagrams.application.reports.comparison_report import comparison_report as report
 from slipmap.diagrams.application.reports.comparison_words import (
+    chance_surprises,
     finding,
-    headline,
+    mean_error,
+    millimetres,
     pushes_needed,
     sentence_part,
     short_name,
     summary,
     summary_of_two,
+    warning,
 )
 from slipmap.diagrams.application.reports.html_page import Section, page, part, table
 from slipmap.diagrams.application.reports.tables import show_comparison
@@ -150,17 +153,17 @@ def test_few_pushes_are_told_as_such(learned):
 def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_told(learned):
     """It is no "pattern beyond chance", and it is not passed over: the ratios are named, and what to do."""
     dataset, _, result = learned
-    assert headline(result) == ""
+    assert warning(result) == ""
     quiet = tuple(replace(pattern, p=0.5, p_corrected=1.0, pushes=12) for pattern in result.structure)
     totals, floor = result.totals["heldout"], result.floor
     errors = replace(totals.model, final_add=23 * floor.add)
     even = replace(totals.uniform, final_add=22 * floor.add)
     wrong = replace(totals, model=errors, uniform=even)
     bad = replace(result, structure=quiet, totals={**result.totals, "heldout": wrong})
-    said = headline(bad, "demo/pushes")
+    said = warning(bad, "demo/pushes")
     assert "23 times what sensor noise alone explains, and 1 times the error of a uniform object" in said
     guessed = replace(bad, floor=replace(floor, source="estimated noise"))
-    assert "23 times what the estimated sensor noise alone explains" in headline(guessed)
+    assert "23 times what the estimated sensor noise alone explains" in warning(guessed)
     assert said.endswith("diagnose demo/pushes` searches for the physical effect that the model misses.")
     assert "significant pattern" not in finding(bad)
     assert finding(bad).startswith("No single condition explains the remaining error")
@@ -169,15 +172,15 @@ def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_tol
     assert shown.index(f"{large}.\n") < shown.index(others) < shown.index(summary(bad))
     better = replace(wrong, uniform=replace(even, final_add=30 * floor.add))
     fine = replace(bad, totals={**result.totals, "heldout": better})
-    assert headline(fine) == "" and "no significant pattern" in finding(fine)
+    assert warning(fine) == "" and "no significant pattern" in finding(fine)
 
 
-def test_a_push_that_surprises_stands_in_the_headline(learned):
+def test_a_push_that_surprises_stands_in_the_warning(learned):
     dataset, _, result = learned
     last = result.pushes[-1]
     off = replace(last, end_region=region_left_by(9.0, last.measured[-1]))
     found = replace(result, pushes=(*result.pushes[:-1], off))
-    said = headline(found, "demo/pushes")
+    said = warning(found, "demo/pushes")
     assert said.startswith(f"SURPRISING: push {short_name(last.trial)} ended")
     assert "slipmap diagnose demo/pushes" in said
     shown = Page(report([found], dataset, "demo/pushes")).text
@@ -185,6 +188,32 @@ def test_a_push_that_surprises_stands_in_the_headline(learned):
     assert f"{large}.\n" in shown and others in shown
     (told,) = [push for push in found.to_json()["pushes"] if push["surprising"]]
     assert told["trial"] == last.trial and told["excess"] == pytest.approx(9.0)
+
+
+def headline_of(html):
+    (large,) = re.findall('<p class="headline">(.*?)</p>', html)
+    return large
+
+
+def test_the_mean_error_is_the_headline_of_a_report_unless_pushes_surprise_beyond_chance(learned):
+    dataset, _, result = learned
+    assert headline_of(report([result], dataset)) == mean_error(result)
+    held = [replace(push, observation=replace(push.observation, role="heldout")) for push in result.pushes]
+    *usual, last = held
+    barely = replace(last, end_region=region_left_by(1.05, last.measured[-1]))
+    four = {"heldout": replace(result.totals["heldout"], pushes=4)}
+    found = replace(result, pushes=(*usual, barely), totals=four)
+    assert warning(found) == ""
+    assert chance_surprises(found).startswith(f"Surprising: push {short_name(last.trial)} ended")
+    shown, error = report([found], dataset), millimetres(four["heldout"].model.final_add)
+    large = f"Held-out pushes end {error} mm from their predicted ends on average."
+    assert headline_of(shown) == large
+    text = Page(shown).text
+    assert text.index(summary(found)) < text.index("1 of 4 pushes may end outside by chance")
+    two = report([found, replace(found, label="with table_tilt")], dataset)
+    assert headline_of(two) == f"{large[:-1]} (with table_tilt)."
+    alone = replace(result, totals={"fit": replace(result.totals["fit"], pushes=1)})
+    assert mean_error(alone).startswith("The fitted push ends ")
 
 
 def test_patterns_in_words(learned):
