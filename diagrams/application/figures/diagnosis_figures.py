@@ -41,7 +41,8 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     """Bars for every candidate: first-order gain, gain when refitted, and what another candidate still gains.
 
     What another still gains is of first order too and drawn on the scale of the first panel: if it is short
-    beside the candidate's own gain, little is left. Refitted gains have their own scale.
+    beside the candidate's own gain, little is left. Refitted gains have their own scale. A dash stands for
+    what is not computed: an effect that gains too little is not refitted.
 
     Example:
         >>> import slipmap
@@ -121,6 +122,8 @@ def _panels_of_bars(
         figure.legend(
             handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0)
         )
+    if any(value is None for _, values, _, _ in shown for value in values):
+        figure.text(0.06 / width, top + 0.09 / height, "– not computed", fontsize=8, color=FAINT)
     return figure
 
 

@@ -216,7 +216,7 @@ def _distances(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rol
         axes.plot(
             times, 1e3 * add(poses, plain.poses[0], grid.centers), color=BELIEF, alpha=tint, linewidth=1.2
         )
-    axes.set(ylabel="distance, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
+    axes.set(ylabel="distance from\nthe plain model, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
 
 
 def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts, *, by_component: bool) -> None:

@@ -294,6 +294,7 @@ def test_what_is_left_is_drawn_on_the_scale_of_the_gain(tilted):
     candidates = [CandidateResult("right", 104.0, 0.01, fitted_gain=6918.0, remaining_gain=1.0)]
     gain, fitted, left = gain_figure(replace(found, candidates=candidates)).axes
     assert gain.get_xlim() == left.get_xlim() and fitted.get_xlim()[1] > 6918.0
+    assert not gain.figure.texts  # no dash needs a word
     candidates += [
         CandidateResult("wrong", 37.0, 0.01, fitted_gain=9.0, remaining_gain=859.0, rejected_by="right")
     ]
@@ -301,6 +302,13 @@ def test_what_is_left_is_drawn_on_the_scale_of_the_gain(tilted):
     assert gain.get_xlim() == left.get_xlim() and left.get_xlim()[1] > 859.0
     (alone,) = gain_figure(replace(found, candidates=[CandidateResult("none", -2.0, 0.9)])).axes
     assert alone.get_xlim()[1] > 0.0
+
+
+def test_a_dash_in_the_picture_of_gains_is_explained(tilted):
+    _, found = tilted
+    refitted = CandidateResult("right", 104.0, 0.01, fitted_gain=6918.0, remaining_gain=1.0)
+    figure = gain_figure(replace(found, candidates=[refitted, CandidateResult("weak", 2.0, 0.5)]))
+    assert [text.get_text() for text in figure.texts] == ["– not computed"]
 
 
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):

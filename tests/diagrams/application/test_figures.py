@@ -279,6 +279,7 @@ def test_only_an_effect_is_drawn_as_one():
 def test_formulas_of_an_effect_are_set_as_formulas(tmp_path):
     tilt = next(effect for effect in LIBRARY if effect.name == "table_tilt")
     written = "".join(words(effect_figure(tilt), tmp_path / "tilt.svg"))
+    assert "the plain model, mm" in written
     assert "$" not in written and "mathrm" not in written
 
 
