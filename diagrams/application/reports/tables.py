@@ -180,7 +180,7 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
         [
             phrases.short_name(push.trial),
             phrases.ROLES[push.role],
-            _error(push),
+            _ended_and_allowed(push)[0],
             *map(_millimetres, (push.spread, push.uniform_add, push.no_motion_add)),
             remark(push),
         ]
@@ -196,19 +196,19 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
     )
 
 
-def _error(push: Prediction) -> str:
-    """Error at the end, mm; with more digits where the remark could not be understood without them."""
-    text = _millimetres(push.final_add)
-    error, allowed = beyond_in_millimetres(push.final_add, push.allowed_add)
-    return error if push.surprising and float(text) <= float(allowed) else text
+def _ended_and_allowed(push: Prediction) -> tuple[str, str]:
+    """Error at the end and largest that would not surprise, mm; more digits where tenths hide a surprise."""
+    error, allowed = _millimetres(push.final_add), _millimetres(push.allowed_add)
+    if push.surprising and float(error) <= float(allowed):
+        return beyond_in_millimetres(push.final_add, push.allowed_add)
+    return error, allowed
 
 
 def remark(push: Prediction) -> str:
     """Remark on a push that ended outside its interval or is sensitive to its start; empty for others."""
     said = []
     if push.surprising:
-        _, allowed = beyond_in_millimetres(push.final_add, push.allowed_add)
-        said.append(f"SURPRISING: at most {allowed} mm expected")
+        said.append(f"SURPRISING: at most {_ended_and_allowed(push)[1]} mm expected")
     if push.start_sensitivity >= _SENSITIVE:
         said.append(f"sensitive: 0.5 mm at the start moves the end by {0.5 * push.start_sensitivity:.0f} mm")
     return "; ".join(said)
