@@ -89,14 +89,19 @@ def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | N
     for step in (0.01, 0.002):
         tried = best + step * np.arange(-8, 9)
         best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag, _FINE)))
-    time = pose.time - best
-    known = moving & (time >= tip.time[0]) & (time <= tip.time[-1])
-    touched = known.copy()
-    touched[known] = np.abs(gaps(setup, tip.at(time[known]), pose.values[known])) < _TOUCHES
-    if touched.sum() < max(_FEWEST_ROWS, _LEAST_TOUCHED * moving.sum()):
-        return None
+    touched = _touched(setup, pose, tip, moving, best)
     # An object that moves far from the finger is being carried, and shows nothing.
-    return _refined(setup, pose, tip, touched, best)
+    return None if touched is None else _refined(setup, pose, tip, touched, best)
+
+
+def _touched(
+    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], lag: float
+) -> NDArray[np.bool_] | None:
+    """(T,) rows of motion at which the finger touches on the clock of a lag; None if they are too few."""
+    time = pose.time - lag
+    touched = moving & (time >= tip.time[0]) & (time <= tip.time[-1])
+    touched[touched] = np.abs(gaps(setup, tip.at(time[touched]), pose.values[touched])) < _TOUCHES
+    return touched if touched.sum() >= max(_FEWEST_ROWS, _LEAST_TOUCHED * moving.sum()) else None
 
 
 def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
@@ -116,14 +121,10 @@ def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
     edge = max(_EDGE, 0.75 * span)
     # A row counts if all rows within the edge also move.
     still = np.flatnonzero(~fast)
-    if len(still) == 0:
-        return fast
     after = np.searchsorted(still, np.arange(len(fast)))
-    last = pose.time[still[np.maximum(after - 1, 0)]]
-    following = pose.time[still[np.minimum(after, len(still) - 1)]]
-    since = np.where(after > 0, pose.time - last, np.inf)
-    until = np.where(after < len(still), following - pose.time, np.inf)
-    return fast & (since > edge) & (until > edge)
+    # Over a wide span, rest before the first row or after the last may also seem to move.
+    times = np.concatenate([[pose.time[0]], pose.time[still], [pose.time[-1]]])
+    return fast & (pose.time - times[after] > edge) & (times[after + 1] - pose.time > edge)
 
 
 def _row_noise(pose: Channel, reach: float) -> float:
@@ -337,8 +338,10 @@ def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
     if int(moving.sum()) < _FEWEST_FREE:
         return None
     moving[moving] &= gaps(setup, tip.at(pose.time[moving]), pose.values[moving]) < _AIR
-    few = int(moving.sum()) < _FEWEST_FREE
-    return None if few else _refined(setup, pose, tip, moving, 0.0, _ROWS)
+    if int(moving.sum()) < _FEWEST_FREE:
+        return None
+    lag = _refined(setup, pose, tip, moving, 0.0, _ROWS)
+    return None if _touched(setup, pose, tip, moving, lag.value) is None else lag
 
 
 def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
