@@ -3,6 +3,7 @@ pushes, its common cause, and the angle of the force to the contact normal."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -187,6 +188,9 @@ def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
 
 # The common cause of all pushes.
 
+FRAME_WRONG = ("sign", "turn", "mirror")
+"""Kinds of causes that mean a wrong object frame or outline, which no effect explains."""
+
 _SIZED = ("lag", "radius", "tip_offset", "tracker_offset")
 
 
@@ -194,7 +198,7 @@ class Cause(NamedTuple):
     """A correction that would make the finger touch the object in all pushes."""
 
     text: str  # a question to the user
-    kind: str  # sign, turn, lag, radius, tip_offset or tracker_offset
+    kind: str  # sign, turn, mirror, lag, radius, tip_offset or tracker_offset
     applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps after correction
 
 
@@ -254,13 +258,16 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
             "turn",
             posed(turn.__add__),
         )
+    for axis, sides in (("x", (-1.0, 1.0)), ("y", (1.0, -1.0))):
+        yield Cause(f"is the outline mirrored in {axis}?", "mirror", partial(_mirrored, sides=sides))
     if not all(rows.trial.ends_only for rows in pushes):
         yield _lag(setup, pushes)
         (less,) = _fitted(setup, pushes, 1, _thinner_finger)
+        size = "large" if less > 0.0 else "small"
         if less < _MOST_OF_RADIUS * setup.finger_radius:
             yield Cause(
                 f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
-                f" {1e3 * setup.finger_radius:.1f} mm, or is the outline too large?",
+                f" {1e3 * setup.finger_radius:.1f} mm, or is the outline too {size}?",
                 "radius",
                 lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
             )
@@ -300,6 +307,11 @@ def _lag(setup: Setup, pushes: Sequence[ContactRows]) -> Cause:
         "lag",
         late(best),
     )
+
+
+def _mirrored(setup: Setup, rows: ContactRows, sides: tuple[float, float]) -> FloatArray:
+    """Gaps if x or y of the outline has the other sign."""
+    return gaps(setup, seen_from(rows.tips, rows.poses) * sides, np.zeros(3))
 
 
 def _thinner_finger(setup: Setup, rows: ContactRows, less: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
+    FRAME_WRONG,
     Cause,
     ContactRows,
     common_cause,
@@ -49,9 +50,6 @@ _MOST_ROWS = 500  # of a track, compared with the outline
 _LONERS = 10  # one push in this many may be left out, at least one,
 _FEWEST_TRIALS = 5  # if there are at least this many
 _ALONE = 1.5  # times as deep as the other pushes
-
-_FRAME_WRONG = ("sign", "turn")
-"""Kinds of causes that mean a wrong object frame, which no effect explains."""
 
 _PULLS = (
     "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
@@ -177,15 +175,16 @@ def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
 
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
-    """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn; else None.
+    """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn, or that the
+    outline is mirrored; else None.
 
-    The finger then goes into the object in at least half of the pushes, and would not if theta were
-    corrected. No effect explains this.
+    The finger then goes into the object in at least half of the pushes, and would not if this were corrected.
+    No effect explains this.
     """
     seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
     deep = [rows for rows in seen if _too_deep(rows)]
     cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
-    if cause is None or cause.kind not in _FRAME_WRONG:
+    if cause is None or cause.kind not in FRAME_WRONG:
         return None
     fixed = [replace(rows, gap=cause.applied(setup, rows)) for rows in seen]
     if sum(rows.depth > rows.allowed for rows in fixed) > len(deep) / 2:
@@ -242,7 +241,7 @@ def _judged(
         )
         left = [rows for rows in fixed if rows.depth > rows.allowed]
         if cause is not None and len(left) <= len(deep) / 2:
-            frame_wrong = cause.kind in _FRAME_WRONG
+            frame_wrong = cause.kind in FRAME_WRONG
             whose = parsing.listed([rows.trial.name for rows in deep])
             warnings.append(f"{whose}: {_explained(deep, fixed, cause)}")
             pushes, deep = fixed, left
