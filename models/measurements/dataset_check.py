@@ -3,6 +3,7 @@ could show."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -16,13 +17,16 @@ from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
+    FRAME_WRONG,
     ContactRows,
+    common_cause,
     contact_rows,
     force_complaint,
     gaps,
     normals_and_forces,
 )
 from slipmap.models.measurements.importing.clocks import (
+    Lag,
     bias_matters,
     free_force,
     lag_by_rises,
@@ -36,11 +40,20 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
 
+_MENDED = ("left out", "was cut there into")
+"""Words of warnings about what no longer concerns the dataset."""
+_KEY = re.compile(r": ((?:object|finger|table|noise|known|gravity)(?:\.\w+)*)\b")
+_SUBJECTS = (("the finger goes", "contact"), ("the finger starts", "contact"), ("the force", "force"))
 _SLOW_RATE = 20.0  # Hz below which contact is hard to see
 _GAP = 0.25  # s without a pose of a moving object
 _WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong
 _NOTABLE_LAG = 1e-3  # m between object and finger because of a lag
+_LARGEST_SPREAD = 0.5  # of the lags relative to their median, up to which they agree,
+_CLOSE_SPREAD = 0.1  # and below which no size in mm explains them
+_FEWEST_LAGS = 3  # pushes without which no clock is called wrong,
+_LEAST_SHARE = 0.2  # and share of the pushes
 _FORCE_LATE = 0.01  # s
+_NO_COMMON_LAG = "is a frame, the outline or finger.radius wrong, rather than a clock?"
 _SETUP = " (`clock` in a setup.yaml)"
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
@@ -117,9 +130,9 @@ class DatasetCheck:
     @property
     def headline(self) -> str:
         """What the findings come to, in a sentence."""
-        doubted = [one.what for one in self.findings if one.advice]
+        doubted = dict.fromkeys(one.what for one in self.findings if one.advice)
         if self.wrong:
-            wrong = [one.what for one in self.findings if one.verdict == "wrong"]
+            wrong = dict.fromkeys(one.what for one in self.findings if one.verdict == "wrong")
             return f"Wrong: {', '.join(wrong)}."
         if doubted:
             return f"The recording is usable, with a doubt about: {', '.join(doubted)}."
@@ -146,17 +159,12 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         *_rates(dataset),
         *_rows_left_out(dataset),
         *_jumps(dataset),
-        *_clocks(dataset),
+        *_clocks(dataset, rows),
         *_impossible(dataset),
         *_depth(dataset, rows),
         *_forces(dataset, rows),
     ]
-    said = [text for finding in findings for text in (finding.found, finding.advice) if text]
-    findings += [
-        Finding("reading", text, "note")
-        for text in dataset.warnings
-        if len(text) < 600 and not any(text in advice or advice in text for advice in said)
-    ]
+    findings += _from_reading(dataset.warnings, findings)
     coverage = _coverage(dataset, rows)
     effects = tuple(
         Told(name, could := shows(coverage), words if could else f"needs {words}")
@@ -169,6 +177,38 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
 
 
 # Consistency of the measurements.
+
+
+def _from_reading(warnings: Sequence[str], findings: Sequence[Finding]) -> list[Finding]:
+    """What the dataset's reading warned of and no other finding says.
+
+    What was left out or cut is mended and a note; anything else is a doubt about its subject.
+    """
+    found = []
+    for text in warnings:
+        if _mended(text):
+            if not any(text in one.found or text in one.advice for one in findings):
+                found.append(Finding("reading", text, "note"))
+        elif not any(
+            text in (one.found, one.advice) or one.advice.lower() in text.lower()
+            for one in findings
+            if one.advice
+        ):
+            fault, _, advice = text.partition("; ")
+            found.append(Finding(_subject(text), fault, "note", advice or "is this right?"))
+    return found
+
+
+def _mended(warning: str) -> bool:
+    """Whether what a warning is about no longer concerns the dataset."""
+    return any(words in warning for words in _MENDED)
+
+
+def _subject(warning: str) -> str:
+    """The key of a dataset.yaml that a warning is about, or else what was recorded."""
+    if key := _KEY.search(warning):
+        return key[1]
+    return next((subject for words, subject in _SUBJECTS if words in warning), "reading")
 
 
 def _rates(dataset: PushDataset) -> list[Finding]:
@@ -210,7 +250,7 @@ def _longest_blind_motion(trial: Trial) -> float:
 
 def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     """Flips, zeros and stamps that go back, as found on reading and importing."""
-    texts = dict.fromkeys((*dataset.warnings, *dataset.provenance))
+    texts = dict.fromkeys((*filter(_mended, dataset.warnings), *dataset.provenance))
     found = []
     for what, words in (
         ("flips", ("theta turns", "jumps")),
@@ -251,13 +291,15 @@ def _jumps(dataset: PushDataset) -> list[Finding]:
     return found
 
 
-def _clocks(dataset: PushDataset) -> list[Finding]:
+def _clocks(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     """Clocks of the finger relative to the object, and of the force relative to both, from contact."""
     lags, late = [], []
     speed = []
+    pushes = 0
     for trial in dataset.trials:
         if trial.ends_only or not trial.has_finger:
             continue
+        pushes += 1
         lag = lag_left(dataset, trial.object_pose, trial.tip_pose)
         if lag is not None:
             lags.append(lag)
@@ -266,14 +308,7 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
             late += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
     findings = []
     if lags:
-        middle, error = middle_of([lag.value for lag in lags])
-        error = max(error, float(np.median([lag.error for lag in lags])))
-        apart = abs(middle) * float(np.median(speed))
-        text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
-        advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's{_SETUP}"
-        sure = abs(middle) > 3.0 * error and apart > _NOTABLE_LAG
-        verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
-        findings.append(Finding("clock of the finger", text, verdict, advice if sure else ""))
+        findings.append(_clock_of_finger(dataset, rows, lags, float(np.median(speed)), pushes))
     if late:
         force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
         lag = lag_by_rises(late, force)
@@ -283,6 +318,41 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
         advice = f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure else ""
         findings.append(Finding("clock of the force", text, "note" if sure else "good", advice))
     return findings
+
+
+def _clock_of_finger(
+    dataset: PushDataset, rows: Sequence[ContactRows], lags: Sequence[Lag], speed: float, pushes: int
+) -> Finding:
+    """What the lags of some of the pushes come to.
+
+    A wrong frame, outline or radius also looks like lags, but these differ from push to push.
+
+    Args:
+        speed: of the object, m/s.
+        pushes: number of pushes that could have shown a lag.
+    """
+    what, values = "clock of the finger", [lag.value for lag in lags]
+    middle, error = middle_of(values)
+    several = len(lags) >= _FEWEST_LAGS
+    spread = error * np.sqrt(len(lags)) / max(abs(middle), 1e-9)
+    error = max(error, float(np.median([lag.error for lag in lags])))
+    apart = abs(middle) * speed
+    text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
+    if abs(middle) <= 3.0 * error or apart <= _NOTABLE_LAG:
+        return Finding(what, text, "good")
+    size = "large" if middle > 0.0 else "small"
+    found = f"{text}, or finger.radius or the outline {1e3 * apart:.1f} mm too {size}"
+    advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's{_SETUP}"
+    cause = common_cause(dataset, rows, len(rows))
+    close = several and spread < _CLOSE_SPREAD
+    if cause is not None and (cause.kind in FRAME_WRONG or (cause.kind != "lag" and not close)):
+        return Finding(what, found if cause.kind == "radius" else text, "note", cause.text)
+    if cause is None and len(lags) < _LEAST_SHARE * pushes:
+        return Finding(what, f"{text}, from only {len(lags)} of {pushes} pushes", "note")
+    if cause is None and spread > _LARGEST_SPREAD:
+        span = f"{_late(min(values))} to {_late(max(values))}"
+        return Finding(what, f"{text}, but {span} in single pushes", "note", _NO_COMMON_LAG)
+    return Finding(what, found, "wrong" if several and apart > CALIBRATION_ERROR else "note", advice)
 
 
 def _late(lag: float) -> str:
@@ -318,14 +388,14 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
         text += f", {round(1e3 * float(np.median(air)), 1) + 0.0:+.1f} mm of air while pushing"
-    if deep.mean() > _WRONG_SHARE:
-        said = next((text for text in dataset.warnings if "the finger goes" in text or "starts" in text), "")
-        advice = said or (
+    if deep.any():
+        said = (text for text in dataset.warnings if not _mended(text) and _subject(text) == "contact")
+        advice = next(said, None) or (
             "check theta's sign, the frames, the clocks, which point of the finger was recorded, and"
             " finger.radius"
         )
         text += f"; too deep in {deep.sum()} of {len(rows)} pushes"
-        return [Finding("contact", text, "wrong", advice)]
+        return [Finding("contact", text, "wrong" if deep.mean() > _WRONG_SHARE else "note", advice)]
     if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
         near = float(np.median(air)) < _NEAR
         advice = "is finger.radius, or the outline, too small?" if near else "is a frame or a clock wrong?"
@@ -501,7 +571,10 @@ def _advice(seen: Coverage) -> list[str]:
     wanted = []
     if seen.pushes < 6:
         more = 6 - seen.pushes
-        wanted.append(f"{more} more push{'es' * (more > 1)}: with six or more, some can be held out")
+        wanted.append(
+            f"{more} more push{'es that move' if more > 1 else ' that moves'} the object by 5 mm or more:"
+            " with six or more, some can be held out"
+        )
     if seen.arcs < 5:
         wanted.append(f"pushes on parts of the outline not touched yet ({_ARCS - seen.arcs} of {_ARCS})")
     if seen.turned < np.radians(10.0):

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from straight_pushes import forced, posed, straight_pushes, tipped
+from straight_pushes import RADIUS, forced, posed, straight_pushes, tipped
 
+from slipmap import Maps, Slider, candidate_pushes, cells_from_polygon, record_pushes
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.identification import identify
-from slipmap.models.measurements import Channel, DatasetError, Table, read_dataset
+from slipmap.models.measurements import Channel, DatasetError, Table, read_dataset, write_dataset
 from slipmap.models.measurements.dataset_check import EFFECT_NEEDS, check_dataset
 
 
@@ -254,3 +255,121 @@ def test_a_row_is_no_lag_of_the_force():
     found = finding(changed(early), "clock of the force")
     assert found.verdict == "good" and not found.advice
     assert float(found.found.split("± ")[1].split(" ms")[0]) >= 10.0
+
+
+def ell():
+    return 0.01 * np.array([[-5, -3], [7, -3], [7, 0.5], [-1, 0.5], [-1, 5], [-5, 5]])
+
+
+def simulated(count, length, speed=(0.03, 0.1), seed=0):
+    """Simulated pushes of an L without any fault."""
+    grid = cells_from_polygon(ell(), count=20)
+    maps = Maps(np.full((1, len(grid)), 0.6 / len(grid)), np.full((1, len(grid)), 0.3), np.array([0.25]))
+    rng = np.random.default_rng(seed)
+    chosen = candidate_pushes(grid, RADIUS, rng, count, length=length, speed=speed)
+    poses = rng.uniform([-0.1, -0.1, -np.pi], [0.1, 0.1, np.pi], (count, 3))
+    pushes = [one.push(pose) for one, pose in zip(chosen, poses, strict=True)]
+    return record_pushes(Slider(grid, RADIUS), maps, pushes, rng, mass=0.6, height=0.03)
+
+
+@pytest.mark.parametrize(("off", "words"), [(2e-3, "large"), (-2e-3, "small")])
+def test_a_wrong_radius_is_told_beside_the_clock(off, words):
+    """A radius or outline off by 2 mm looks like lags; where speeds differ, it is told apart."""
+    pushed = simulated(8, (0.04, 0.08))
+    found = finding(check_dataset(replace(pushed, finger_radius=RADIUS + off)), "clock of the finger")
+    assert found.verdict == "note"
+    assert float(found.found.split("or the outline ")[1].split(f" mm too {words}")[0]) == pytest.approx(
+        2.0, abs=0.7
+    )
+    assert "is finger.radius 6.0 mm rather than" in found.advice and f"too {words}?" in found.advice
+
+
+def test_a_radius_that_only_looks_like_a_clock_is_told_too():
+    dataset = straight_pushes(8)
+    trials = tuple(waited(one) for one in dataset.trials)
+    check = check_dataset(replace(dataset, finger_radius=RADIUS - 2e-3, trials=trials))
+    found = finding(check, "clock of the finger")
+    assert found.verdict == "note" and "or finger.radius or the outline 2.0 mm too small" in found.found
+
+
+@pytest.mark.parametrize("speed", [(0.03, 0.1), (0.2, 0.4)])
+def test_short_pushes_show_no_clock(speed):
+    """A wide span over which slow motion is seen must not take rest for motion."""
+    for seed in range(3):
+        check = check_dataset(simulated(15, (0.002, 0.004), speed, seed))
+        assert check.headline == "The recording is sound.", check.findings
+
+
+def test_few_pushes_that_move_are_told_as_such():
+    advice = check_dataset(simulated(8, (0.001, 0.002))).advice
+    assert advice[0].startswith("6 more pushes that move the object by 5 mm or more")
+
+
+def test_a_wrong_frame_is_no_clock():
+    """A frame beside the outline's looks like lags that contradict each other."""
+
+    def beside(pose):
+        return pose + np.column_stack([rotated(np.array([0.008, 0.005]), pose[:, 2]), 0.0 * pose[:, 0]])
+
+    pushed = simulated(8, (0.04, 0.1), seed=4)
+    check = check_dataset(replace(pushed, trials=tuple(map(posed(beside), pushed.trials))))
+    found = finding(check, "clock of the finger")
+    assert found.verdict == "note" and "the tracked frame lies at (8, 5" in found.advice
+    assert check.headline == "Wrong: contact."
+
+
+def test_two_late_pushes_are_a_doubt():
+    """Two pushes alone are too few to call a clock wrong."""
+
+    def late(trial):
+        return replace(trial, tip_pose=Channel(trial.tip_pose.time + 0.05, trial.tip_pose.values))
+
+    dataset = straight_pushes(8)
+    trials = [late(waited(one)) for one in dataset.trials]
+    verdicts = [
+        finding(check_dataset(replace(dataset, trials=tuple(trials[:count]))), "clock of the finger").verdict
+        for count in (2, 3)
+    ]
+    assert verdicts == ["note", "wrong"]
+
+
+@pytest.mark.parametrize(("axis", "seed"), [(0, 2), (1, 2)])
+def test_a_mirrored_outline_is_named(tmp_path, axis, seed):
+    dataset = simulated(15, (0.02, 0.04), seed=seed)
+    sides = np.where(np.arange(2) == axis, -1.0, 1.0)
+    mirrored = cells_from_polygon((ell() * sides)[::-1], count=20)
+    written = write_dataset(replace(dataset, grid=mirrored), tmp_path / "pushes")
+    check = check_dataset(read_dataset(written, tell=lambda text: None))
+    assert "contact" in check.headline
+    assert f"is the outline mirrored in {'xy'[axis]}?" in finding(check, "contact").advice
+
+
+def test_one_push_that_is_too_deep_is_a_doubt():
+    dataset = straight_pushes(8)
+    deep = tipped(lambda tip: tip + np.array([0.01, 0.0]))
+    trials = [deep(waited(one)) if number == 2 else waited(one) for number, one in enumerate(dataset.trials)]
+    found = finding(check_dataset(replace(dataset, trials=tuple(trials))), "contact")
+    assert found.verdict == "note" and "too deep in 1 of 8 pushes" in found.found and found.advice
+
+
+@pytest.mark.parametrize(
+    ("warning", "subject"),
+    [
+        (
+            "a/dataset.yaml: object.cells: 32 of 60 centres lie outside the outline, first row 7",
+            "object.cells",
+        ),
+        ("a/dataset.yaml: object.height is 30 m over a footprint of 0.12 m; are both in m?", "object.height"),
+        ("b.json: the force points against the finger's motion; is its sign reversed?", "force"),
+        ("b.json: the finger goes 23 mm into the object during 1 of 9 pushes; kept as requested", "contact"),
+        ("b.json: the tip's rows end while it is still moving; it is held", "reading"),
+        ("b.json: the finger goes 12 mm into the object; left out; to keep it, set `keep: true`", None),
+        ("b.json: the object moves 0.04 m; the recording was cut there into 2 pushes", None),
+    ],
+)
+def test_what_reading_doubts_is_not_sound(warning, subject):
+    check = check_dataset(replace(straight_pushes(8), warnings=(warning,)))
+    doubt = f"The recording is usable, with a doubt about: {subject}."
+    assert check.headline == (doubt if subject else "The recording is sound.")
+    assert [one.verdict for one in check.findings if warning.startswith(one.found)] == ["note"]
+    assert not check.wrong
