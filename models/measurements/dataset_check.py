@@ -315,7 +315,9 @@ def _clocks(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         touches = f"± {1e3 * lag.error:.1f} ms, {len(late)} touches"
         text = f"force {_late(lag.value)} relative to the touch, {touches}"
         sure = lag.sure and abs(lag.value) > _FORCE_LATE
-        advice = f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure else ""
+        # A wrong outline, radius or frame also shifts the times of touch.
+        misplaced = any(one.advice and not one.advice.endswith(_SETUP) for one in findings)
+        advice = f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure and not misplaced else ""
         findings.append(Finding("clock of the force", text, "note" if sure else "good", advice))
     return findings
 

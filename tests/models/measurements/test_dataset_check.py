@@ -276,12 +276,14 @@ def simulated(count, length, speed=(0.03, 0.1), seed=0):
 def test_a_wrong_radius_is_told_beside_the_clock(off, words):
     """A radius or outline off by 2 mm looks like lags; where speeds differ, it is told apart."""
     pushed = simulated(8, (0.04, 0.08))
-    found = finding(check_dataset(replace(pushed, finger_radius=RADIUS + off)), "clock of the finger")
+    check = check_dataset(replace(pushed, finger_radius=RADIUS + off))
+    found = finding(check, "clock of the finger")
     assert found.verdict == "note"
-    assert float(found.found.split("or the outline ")[1].split(f" mm too {words}")[0]) == pytest.approx(
-        2.0, abs=0.7
-    )
+    told = float(found.found.split("or the outline ")[1].split(f" mm too {words}")[0])
+    assert told == pytest.approx(2.0, abs=0.7)
     assert "is finger.radius 6.0 mm rather than" in found.advice and f"too {words}?" in found.advice
+    # The time of touch is then wrong, too.
+    assert check.headline == "The recording is usable, with a doubt about: clock of the finger."
 
 
 def test_a_radius_that_only_looks_like_a_clock_is_told_too():
