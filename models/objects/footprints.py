@@ -238,7 +238,8 @@ def _fitting(polygon: Polygon, about: int) -> tuple[FloatArray, float]:
     def worth(grid: tuple[FloatArray, float]) -> tuple[float, float, int]:
         n = len(grid[0])
         # Pushes show no mismatch below a percent.
-        return round(_mismatch(*grid, target), 2), round(abs(float(np.log(n / about))), 9), -n
+        poor = _mismatch(*grid, target) + _distortion(*grid, target)
+        return round(poor, 2), round(abs(float(np.log(n / about))), 9), -n
 
     return min(rough, key=worth)
 
@@ -283,18 +284,31 @@ class _Interior:
 
 
 def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray, FloatArray]) -> float:
-    """Relative errors of area and second moments, and the centroid's offset in radii of gyration."""
+    """Sum of the relative errors of area and polar second moment and the centroid's offset in radii of
+    gyration."""
     if len(centers) == 0:
         return float("inf")
     area, centroid, wanted = target
-    cell_area = width**2
-    offsets = centers - centroid
-    second = cell_area * (offsets.T @ offsets + len(centers) * cell_area / 12 * np.eye(2))
-    scale = np.sqrt(np.diagonal(wanted))
-    errors = np.abs(second - wanted) / scale[:, None] / scale
-    shift = float(np.hypot(*offsets.mean(axis=0)) / np.sqrt(np.trace(wanted) / area))
+    polar, second = float(np.trace(wanted)), _second_moments(centers, width, centroid)
+    shift = float(np.hypot(*(centers - centroid).mean(axis=0)) / np.sqrt(polar / area))
     # Rounded, so that order and not rounding errors decides between equally good grids.
-    return round(abs(len(centers) * cell_area / area - 1) + float(np.triu(errors).sum()) + shift, 9)
+    return round(
+        abs(len(centers) * width**2 / area - 1) + abs(float(np.trace(second)) / polar - 1) + shift, 9
+    )
+
+
+def _distortion(centers: FloatArray, width: float, target: tuple[float, FloatArray, FloatArray]) -> float:
+    """Sum of the relative errors of all second moments."""
+    _, centroid, wanted = target
+    scale = np.sqrt(np.diagonal(wanted))
+    errors = np.abs(_second_moments(centers, width, centroid) - wanted) / scale[:, None] / scale
+    return float(np.triu(errors).sum())
+
+
+def _second_moments(centers: FloatArray, width: float, around: FloatArray) -> FloatArray:
+    """Second moments (2, 2) of square cells about a point, m⁴."""
+    offsets = centers - around
+    return width**2 * (offsets.T @ offsets + len(centers) * width**2 / 12 * np.eye(2))
 
 
 def check_width(width: float) -> None:

@@ -40,7 +40,7 @@ def test_of_very_many_pushes_some_teach_wherever_one_asks(recorded, monkeypatch,
     assert evidence(diagnosis).startswith("Based on 4 pushes, drawn at random from 6; 4 more were")
     show(learned, recorded.dataset, None)
     said = " ".join(capsys.readouterr().out.split())
-    assert "pushes: 6 to fit (4 of them, drawn at random, were learned from), 4 held out" in said
+    assert "6 pushes to fit (4 of them, drawn at random, were learned from), 4 held out" in said
 
 
 def test_pushes_are_drawn_from_all_and_keep_their_order() -> None:
