@@ -95,8 +95,8 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     count = len(run["pushes"]) if pushes in present else 0
     if count and not _simulated(run):
         raise BadInput(
-            f"{folder}: holds an earlier run with --hardware and pushes recorded: {count}, which would be"
-            " lost; choose another folder with --out, or move it away"
+            f"{folder}: holds an earlier run that may be of a real cell, and pushes recorded: {count}, which"
+            " would be lost; choose another folder with --out, or move it away"
         )
     return count
 

@@ -198,7 +198,7 @@ def _pushes(learned: Identification) -> str:
 
 def _judged(watch: Watch) -> str:
     rows = [
-        f"push {push.trial + 1}: misfit {push.misfit:.1f}, evidence {push.evidence:.3g} of {1 / LEVEL:.0f}"
+        f"push {push.trial:03d}: misfit {push.misfit:.1f}, evidence {push.evidence:.3g} of {1 / LEVEL:.0f}"
         f"{f'; ALARM: {push.cause}' if push.alarm else ''}"
         for push in watch.judged
     ]

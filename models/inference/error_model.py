@@ -105,11 +105,13 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
     known, assumed = position is not None and angle is not None, False
     if position is None or angle is None:
         dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) >= _ENOUGH]
-        assumed = position is None and angle is None and not dense
+        assumed = not dense
         typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
         # A sensor that repeats rows appears to have no noise.
-        position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
-        angle = max(float(typical[2]), 1e-3)
+        if position is None:
+            position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
+        if angle is None:
+            angle = max(float(typical[2]), 1e-3)
     if force is None:
         wrenches = [trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None]
         found = [_white(channel.values[:, :2]).mean() for channel in wrenches if len(channel.time) > 5]

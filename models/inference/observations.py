@@ -38,8 +38,10 @@ MOST_PUSHES = 400
 T = TypeVar("T")
 
 _LONG_REST = 0.15
-"""A record in which the object moves for less than this share is cut to its motion, so that most of the poses
-and forces compared are not those of rest."""
+"""A record in which the object moves for less than this share is cut to its motion and some rest before and
+after it, so that most of the poses and forces compared are not those of rest."""
+
+_LEAST_REST = 0.5  # s, kept before and after the motion if there is so much
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
@@ -188,7 +190,10 @@ def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _without_long_rest(trial: Trial) -> Trial:
-    """The trial cut to its motion and half as long again before and after it, if most of it is rest."""
+    """The trial cut to its motion and some rest before and after it, if most of it is rest.
+
+    Half of the motion's time is kept on either side, since a slow beginning or end cannot be told from rest.
+    """
     time, poses = trial.object_pose.time, trial.object_pose.values
     if trial.ends_only or len(time) <= DENSE:
         return trial
@@ -197,14 +202,16 @@ def _without_long_rest(trial: Trial) -> Trial:
         np.hypot(*(calm[:, :2] - still[:2]).T) + 0.03 * np.abs(calm[:, 2] - still[2])
         for still in calm[[0, -1]]
     )
-    least = max(1e-3, 0.02 * float(from_start.max()))  # m
+    jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4  # m
+    least = max(jitter, 0.02 * float(from_start.max()))
     if not ((from_start > least).any() and (to_end > least).any()):
         return trial
     first, last = np.flatnonzero(from_start > least)[0], np.flatnonzero(to_end > least)[-1]
-    moving = float(time[last] - time[first])
-    if not 0.0 < moving < _LONG_REST * (time[-1] - time[0]):
+    moving, whole = float(time[last] - time[first]), float(time[-1] - time[0])
+    if not 0.0 < moving < _LONG_REST * whole:
         return trial
-    kept = (time >= time[first] - 0.5 * moving) & (time <= time[last] + 0.5 * moving)
+    beside = max(0.5 * moving, min(0.5 * _LONG_REST * whole, _LEAST_REST))
+    kept = (time >= time[first] - beside) & (time <= time[last] + beside)
     return replace(trial, object_pose=Channel(time[kept], poses[kept]))
 
 
@@ -214,7 +221,7 @@ def _averaged_rows(times: FloatArray, poses: FloatArray, rows: np.ndarray) -> tu
     inner = (rows >= half) & (rows < len(poses) - half)
     # Across a gap, such as that of an occlusion, the mean of neighbours is no pose on the track.
     around = times[np.minimum(rows + half, len(times) - 1)] - times[np.maximum(rows - half, 0)]
-    inner &= around < 3.0 * half * np.median(np.diff(times))
+    inner &= around < 3.0 * half * times[-1] / (len(times) - 1)
     reach = np.where(inner, half, 0)
     means = [poses[row - n : row + n + 1].mean(axis=0) for row, n in zip(rows, reach, strict=True)]
     return np.array(means), 2.0 * reach + 1.0

@@ -23,6 +23,7 @@ _MAX_CELLS = 50_000  # a finer grid is probably a mistake in units
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
 _ROUGHLY = 1.25  # factor by which a rough number of cells may be missed
+_FEW = 10  # of fewer cells none are to spare for the outline's proportions
 _PIECES_PER_CELL = 32  # pieces of a ring per cell width; each piece belongs to one cell
 _LEAST_SHARE = 0.1  # of a cell's width
 
@@ -56,7 +57,7 @@ def cells_from_polygon(
         holes: rings (k_j, 2) of openings, m.
         count: wanted number of cells. Give at most one of this and `width`.
         width: side of a cell, m.
-        about: rough number of cells where neither is given.
+        about: rough number of cells where neither is given; met as closely as by `count` if below ten.
 
     Raises:
         ValueError: count and width are both given, or one is out of range; the outline is not a simple
@@ -223,6 +224,8 @@ def _counted(polygon: Polygon, count: int) -> tuple[FloatArray, float]:
 
 def _fitting(polygon: Polygon, about: int) -> tuple[FloatArray, float]:
     """Centres and width of the grid of roughly so many cells that fits the outline best."""
+    if about < _FEW:
+        return _counted(polygon, about)
     fewest, most = about / _ROUGHLY, about * _ROUGHLY
     finest, coarsest = np.sqrt(polygon.area / most), np.sqrt(polygon.area / fewest)
     x0, y0, x1, y1 = polygon.bounds

@@ -63,7 +63,8 @@ def cells_from_label_image(
     Args:
         labels: (H, W) integers, or the path of a picture with one channel.
         metres_per_pixel: side of a pixel on the object's surface, m.
-        count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
+        count: wanted number of cells, as in `cells_from_polygon`. Without it and `width`
+            there are about 60.
         width: side of a cell, m.
         background: label of pixels outside the object.
 

@@ -78,7 +78,8 @@ def cells_from_mesh(
         mesh: a mesh, or the path of a file that trimesh can load, or of a URDF or SDF with one link that has
             geometry; the parts of a scene or link are merged, and gaps of up to 2 % of its size closed,
             with slots that run into them.
-        count: wanted number of cells, as in `cells_from_polygon`. Give either this or `width`.
+        count: wanted number of cells, as in `cells_from_polygon`. Without it and `width`
+            there are about 60.
         width: side of a cell, m.
         up: (3,) direction away from the table, in the mesh frame; by default that of the file's format.
         metres_per_unit: length of the mesh's unit; by default as stated in the file, else 1.

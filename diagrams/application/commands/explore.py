@@ -120,7 +120,8 @@ def explore(
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to continue it")
     asks_nothing = json_file is None and cell.recording is None
-    if resume is not None and asks_nothing and is_complete(resume):
+    made = resume is not None and all((resume / name).is_file() for name in ("belief.npz", "report.html"))
+    if resume is not None and asks_nothing and made and is_complete(resume):
         note(
             f"{resume}: this run is complete, nothing is left to do;"
             f" {cell_run.go_on_exploring(cell)} makes more pushes"

@@ -292,8 +292,11 @@ class Inquiry:
         pushes = len(self.fitter.observations)
         if pushes < FEWEST_PUSHES:
             return outcomes.nothing_visible(self.base, f"{pushes} pushes")
-        if any(len(group) == pushes for group in repeated_pushes(self.fitter.observations)):
-            return outcomes.nothing_visible(self.base, "repeats of one push")
+        groups = repeated_pushes(self.fitter.observations)
+        different = pushes - sum(len(group) - 1 for group in groups)
+        if different < FEWEST_PUSHES:
+            few = f"repeats of {different} pushes" if different > 1 else "repeats of one push"
+            return outcomes.nothing_visible(self.base, few)
         if self.rules.blind(self.first):
             return outcomes.nothing_visible(self.base, "these pushes")
         if self.error.motion > ROUGH:

@@ -35,7 +35,7 @@ NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--"
 """Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
-_WITH_THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d*)?")
+_WITH_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?")
 
 
 def check_size(path: Path, where: str) -> None:

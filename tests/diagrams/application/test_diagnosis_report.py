@@ -333,13 +333,14 @@ def test_an_answer_that_leaves_the_locked_pushes_far_off_says_so(tilted):
     )
 
 
-def test_repeats_of_one_push_cannot_clear_the_model():
+@pytest.mark.parametrize(("different", "words"), [(1, "repeats of one push"), (2, "repeats of 2 pushes")])
+def test_repeats_of_few_pushes_cannot_clear_the_model(different, words):
     grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.02)
     maps = Maps(np.full((1, len(grid)), 0.08), np.full((1, len(grid)), 0.3), np.array([0.3]))
     rng = np.random.default_rng(0)
-    (candidate,) = candidate_pushes(grid, 0.005, rng, 1, length=(0.06, 0.09), speed=(0.03, 0.1))
-    pushes = [candidate.push(np.zeros(3))] * 8
+    made = candidate_pushes(grid, 0.005, rng, different, length=(0.06, 0.09), speed=(0.03, 0.1))
+    pushes = [candidate.push(np.zeros(3)) for candidate in made] * (8 // different)
     dataset = record_pushes(Slider(grid, 0.005), maps, pushes, rng, heldout=2)
     found = diagnose(dataset, effects=EFFECTS, quick=True)
     assert found.verdict == "undecided"
-    assert "repeats of one push could not have revealed most effects" in found.sentence
+    assert f"{words} could not have revealed most effects" in found.sentence

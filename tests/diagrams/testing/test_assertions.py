@@ -78,16 +78,16 @@ def test_a_quiet_monitor_must_have_had_something_to_judge():
     assert_quiet(watched(1.0, 2.0, 4.0))
     with pytest.raises(AssertionError, match="only 2 pushes were judged"):
         assert_quiet(watched(1.0, 2.0))
-    with pytest.raises(AssertionError, match=r"push 3: misfit .*, evidence 150"):
+    with pytest.raises(AssertionError, match=r"push 002: misfit .*, evidence 150"):
         assert_quiet(watched(1.0, 20.0, 150.0))
     assert_alarm(watched(1.0, 20.0, 150.0, 50.0))
     far = Judged(3, 2.7, 0.021, 3.36, True, 17.3e-3, 10.5e-3, True, outside=True)
     by_region = Watch(4, np.zeros(3), (*watched(1.0, 1.0, 1.0).judged, far))
     with pytest.raises(AssertionError) as failed:
         assert_quiet(by_region)
-    assert "push 1: misfit 3.0, evidence 1 of 100\n" in str(failed.value)
+    assert "push 000: misfit 3.0, evidence 1 of 100\n" in str(failed.value)
     assert (
-        "push 4: misfit 2.7, evidence 3.36 of 100;"
+        "push 003: misfit 2.7, evidence 3.36 of 100;"
         " ALARM: ended 17.3 mm off, 10.5 mm allowed; outside its 99 % region" in str(failed.value)
     )
     with pytest.raises(AssertionError, match=r"ALARM: ended 10\.0 mm off.*; evidence 150, at least 100"):

@@ -65,6 +65,12 @@ class TestSensorNoise:
         assert found.assumed and not found.declared
         assert (found.position, found.angle) == (1e-4, 1e-3)
 
+    def test_what_is_declared_of_the_noise_is_kept(self, recorded) -> None:
+        dense = replace(recorded.dataset, noise=Noise(position=3e-5))
+        assert sensor_noise(dense).position == 3e-5 and not sensor_noise(dense).assumed
+        sparse = replace(thinned(recorded.dataset, 6), noise=Noise(position=3e-5))
+        assert sensor_noise(sparse).position == 3e-5 and sensor_noise(sparse).assumed
+
 
 def thinned(dataset, rows):
     """The dataset with so many poses a push, from an unknown sensor."""

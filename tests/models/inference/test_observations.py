@@ -151,6 +151,26 @@ def test_long_rests_leave_poses_and_forces_to_the_motion(rest):
     assert np.allclose(observation.forces[observation.sliding], [2.0, 0.0])
 
 
+@pytest.mark.parametrize(("way", "turn"), [(0.0025, 0.0), (0.0, 0.1), (0.004, 0.0)])
+def test_the_ends_of_a_small_motion_between_long_rests_are_not_cut_off(way, turn):
+    t = np.arange(1600) * 0.005
+    moved = np.clip(t - 3.5, 0.0, 1.0)
+    pose = np.column_stack([way * moved, 0 * t, turn * moved])
+    tip = np.column_stack([way * moved - 0.04, 0 * t])
+    observation = observe(Trial("t", "fit", Channel(t, pose), Channel(t, tip)))
+    assert observation.push.start_pose == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+    assert observation.poses[-1] == pytest.approx([way, 0.0, turn], abs=1e-9)
+    assert not observation.push.start_twist.any()
+    assert observation.push.h * (len(observation.push.tip) - 1) < 4.0
+
+
+def test_rows_in_bursts_are_averaged_all_the_same():
+    t = np.cumsum(np.tile([0.001, 0.001, 0.001, 0.037], 60))
+    pose = np.column_stack([0.02 * np.maximum(t - 0.5, 0.0), 0 * t, 0 * t])
+    observation = observe(Trial("t", "fit", Channel(t, pose), Channel(t, pose[:, :2] - [0.04, 0.0])))
+    assert (observation.pose_rows == 5).sum() > 20
+
+
 def test_two_row_trials_compare_at_the_end_alone(shared_data):
     dataset = read_dataset(shared_data / "real" / "mit_abs_rect1")
     observation = observe(dataset.trials[0])

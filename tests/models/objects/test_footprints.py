@@ -216,10 +216,12 @@ def test_a_rough_number_of_cells_keeps_the_proportions_of_the_outline(outline):
     assert np.hypot(*around.mean(axis=0)) < 0.02 * np.sqrt(area)
 
 
-def test_a_rough_number_falls_back_to_the_nearest_one():
-    thin = cells_from_polygon([[0, 0], [1, 0], [1, 0.001], [0, 0.001]], about=3)
-    assert len(thin) >= 1
-    assert len(cells_from_polygon([[0, 0], [1, 0], [1, 1], [0, 1]], about=1)) == 1
+@pytest.mark.parametrize("cells", [1, 3, 4, 9])
+def test_of_few_cells_there_are_as_many_as_asked_for(cells):
+    outline = [[0, 0], [0.12, 0], [0.12, 0.06], [0, 0.06]]
+    rough, counted = cells_from_polygon(outline, about=cells), cells_from_polygon(outline, count=cells)
+    assert_allclose(rough.centers, counted.centers)
+    assert rough.width == counted.width
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,7 @@ def test_a_line_of_units_under_the_header_is_told(tmp_path):
         ("t\tx\n" + 40 * "1,000\t24,405\n" + "2,000\t24,40\n", [24.405] * 40 + [24.4]),
         ("t;x\n0;1.024,5\n0,5;-2,25\n", [1024.5, -2.25]),
         ("t;x\n" + 40 * "0;1,5\n" + "0;0.5\n", [1.5] * 40 + [0.5]),  # a later line of another dialect
+        ("t;x\n" + 40 * "0;1,5\n" + "0;0.123\n", [1.5] * 40 + [0.123]),
     ],
 )
 def test_decimal_commas_with_three_decimals(tmp_path, text, wanted):
