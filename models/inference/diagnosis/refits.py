@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,6 +12,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
+from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import StageProgress, side_by_side
 
 _TOGETHER = 4
@@ -115,15 +117,16 @@ def _ceiling(base: float, best: float) -> float:
 def better_base(fitter: Fitter, refits: Refits) -> Fitted | None:
     """The model without effects, refitted from the maps of the best refit, if that explains the data better.
 
-    The effect then helped the search, not the model.
+    The effect then helped the search, not the model. None also where no fit gets away from these maps.
     """
     if not refits.fits:
         return None
     best = min(refits.fits.values(), key=lambda fitted: fitted.cost)
-    again = fitter.base(refits.plain.likelihood.error, best)
-    if again.cost > refits.plain.cost - _BETTER_BASE:
-        return None
-    return fitter.base(estimate_errors(again, fitter.noise), again)
+    with suppress(RolloutError, np.linalg.LinAlgError):
+        again = fitter.base(refits.plain.likelihood.error, best)
+        if again.cost <= refits.plain.cost - _BETTER_BASE:
+            return fitter.base(estimate_errors(again, fitter.noise), again)
+    return None
 
 
 def pairs(
