@@ -106,8 +106,11 @@ def decide(
         ValueError: there is no goal.
     """
     way, count = pursuit.way, len(pursuit.served)
-    if way and count and near_enough(pose, goals[way.goal].pose, settings.push) and good(pose):
-        return Decision(None, way, True, f"the goal was reached in {count} pushes")
+    at = _goal_at(pose, goals, way, settings.push)
+    if at is not None and good(pose):
+        there = way if way and way.goal == at else Way(at, goals[at].pose[None])
+        reason = f"the goal was reached in {count} pushes" if count else "the object already lies at a goal"
+        return Decision(None, there, True, reason)
     if count == settings.pushes:
         return Decision(None, way, reason=f"no goal was reached in {count} pushes")
     refused = pursuit.refused
@@ -187,6 +190,14 @@ def near_enough(pose: FloatArray, goal: FloatArray, settings: PushSettings) -> b
     distance = np.hypot(*(pose[:2] - goal[:2]))
     angle = abs(angle_between(pose[2], goal[2]))
     return bool(distance <= settings.tolerance and angle <= np.radians(settings.tolerance_angle))
+
+
+def _goal_at(pose: FloatArray, goals: Sequence[Goal], way: Way | None, settings: PushSettings) -> int | None:
+    """Index of the goal at which the object lies: the one that the way leads to, otherwise the best."""
+    near = [index for index, goal in enumerate(goals) if near_enough(pose, goal.pose, settings)]
+    if way is not None and way.goal in near:
+        return way.goal
+    return near[0] if near else None
 
 
 def goal_costs(
@@ -281,7 +292,7 @@ class Pushing:
     """The outcome of pushing to a goal."""
 
     reached: bool  # whether the object was seen within the tolerances of `goal`
-    goal: Goal | None  # the last one aimed at; None if there was no push
+    goal: Goal | None  # where it lies if reached, otherwise the last one aimed at; None if there was none
     pose: FloatArray  # (3,) last seen, world
     pushes: tuple[MadePush, ...]  # all that were made
     reason: str  # why pushing ended, in words
@@ -299,7 +310,7 @@ def push_to_goal(
 ) -> Pushing:
     """Push the object to one of the goals (Algorithm 3).
 
-    Pushing ends when the object lies within the tolerances of the last goal aimed at, when it has fallen,
+    Pushing ends when the object lies within the tolerances of a goal, also at once, when it has fallen,
     when the budget of pushes is spent, after too many refusals in a row, or when no push is left: goals are
     given up after `settings.patience` pushes, and pushes that the robot refused are not requested again.
 

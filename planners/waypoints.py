@@ -56,6 +56,7 @@ class PoseMetric:
 
 ITERATIONS = 250  # iterations of RRT*
 _RANGE = 0.2  # longest edge of the tree, m
+_DOOMED = 0.5  # probability of falling from which on a pose is no goal
 _RESOLUTION = 0.02  # distance between poses on an edge at which balance is checked, m
 
 
@@ -91,14 +92,19 @@ def find_waypoints(
         (n, 3) waypoints, ending with the goal, without the start; angles are continuous from the start's.
 
     Raises:
-        NoWay: none was found.
+        NoWay: none was found, or the object would more probably fall at the goal than stay.
     """
 
     def falls(pose: FloatArray) -> float:
         margins = balance_margins(belief.grid, belief.centers_of_mass, pose[None], table)
         return float(fall_probability(margins, belief.probability, margin)[0])
 
-    limit = max(epsilon, falls(start), falls(goal)) + 1e-9
+    at_goal = falls(goal)
+    if at_goal > _DOOMED:
+        raise NoWay(
+            f"at {np.round(goal, 3).tolist()} the object falls with a probability of {at_goal:.0%}: no goal"
+        )
+    limit = max(epsilon, falls(start), at_goal) + 1e-9
     space = _space(PoseMetric(belief.grid).radius, belief, table)
     # OMPL's generators take their seeds from a shared one; setting that again logs an error but works.
     util.setLogLevel(util.LOG_NONE)

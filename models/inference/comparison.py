@@ -173,7 +173,7 @@ def compare(
     report("looking for patterns", 0, 4)
     motion = motion_residuals(observations, motions, grid, belief.finger_radius)
     force = force_residuals(observations, motions, grid, belief.finger_radius)
-    floor = noise_floor(observations, noise, grid, rng)
+    floor = noise_floor(observations, noise, grid)
     ends_only = all(push.ends_only for push in pushes)
     report("looking for patterns", 1, 4)
     patterns = factor_patterns(motion, "motion", rng, whole_pushes=ends_only) if motion is not None else []

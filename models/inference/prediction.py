@@ -169,6 +169,8 @@ class Prediction:
         }
 
 
+_GRAVITY_ERROR = 0.01  # share by which values of one place may differ
+_MASS_ERROR = 0.05  # share by which weighings of one object may differ
 _CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees twice may differ
 
 
@@ -197,11 +199,21 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
-    """Raise BeliefError if a dataset's outline or finger differs from the belief's.
+    """Raise BeliefError if a dataset's outline, finger, gravity or weighed mass differs from the belief's.
 
     Outlines may differ by half a millimetre all around, as a camera sees them, but by no less than 2 % of the
     area and no more than 10 %.
     """
+    weighed = belief.settings.get("known_mass")
+    for name, unit, ours, theirs, tolerance in (
+        ("gravity", "m/s²", belief.gravity, dataset.gravity, _GRAVITY_ERROR),
+        ("a mass", "kg", weighed, dataset.mass, _MASS_ERROR),
+    ):
+        if ours and theirs and abs(np.log(theirs / ours)) > tolerance:
+            raise BeliefError(
+                f"the belief was learned with {name} of {ours:.4g} {unit}, but dataset {dataset.name} states"
+                f" {theirs:.4g} {unit}; correct the dataset, or identify it instead"
+            )
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
             f"the belief is about a finger of radius {belief.finger_radius} m, but dataset {dataset.name}"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ellipe, stdtrit
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration, relative, seen_from
 from slipmap.models.inference.error_model import SensorNoise
@@ -140,24 +140,31 @@ class NoiseFloor:
     groups: tuple[tuple[str, ...], ...]  # names of pushes that repeat each other
 
 
-def noise_floor(
-    observations: Sequence[Observation], noise: SensorNoise, grid: CellGrid, rng: np.random.Generator
-) -> NoiseFloor | None:
-    """Scatter of repeated pushes if there are any, otherwise the ADD due to the noise of one pose; None where
-    that noise is only assumed.
+def noise_floor(observations: Sequence[Observation], noise: SensorNoise, grid: CellGrid) -> NoiseFloor | None:
+    """Scatter of repeated pushes if there are any, otherwise `pose_floor`.
 
     Repeats take precedence because they include unintended differences from push to push.
     """
     groups = repeated_pushes(observations)
-    if groups:
-        scatter = [value for group in groups for value in _scatter([observations[b] for b in group], grid)]
-        names = tuple(tuple(observations[b].trial for b in group) for group in groups)
-        return NoiseFloor(float(np.mean(scatter)), "repeats", len(scatter), names)
+    if not groups:
+        return pose_floor(noise, grid)
+    scatter = [value for group in groups for value in _scatter([observations[b] for b in group], grid)]
+    names = tuple(tuple(observations[b].trial for b in group) for group in groups)
+    return NoiseFloor(float(np.mean(scatter)), "repeats", len(scatter), names)
+
+
+def pose_floor(noise: SensorNoise, grid: CellGrid) -> NoiseFloor | None:
+    """ADD due to the noise of one pose; None where that noise is only assumed.
+
+    A cell at r is displaced by n + ν ẑ × r, n with standard deviation σ along each axis, ν with τ. Across r
+    its variance is λ = σ² + τ² |r|², along r it is σ²; the mean length of such a vector is
+    √(2 λ / π) E(1 − σ² / λ), with E the complete elliptic integral of the second kind.
+    """
     if noise.assumed:
         return None
-    errors = rng.normal(size=(2000, 3)) * noise.of_poses
-    source = "declared noise" if noise.declared else "estimated noise"
-    return NoiseFloor(float(add(errors, np.zeros(3), grid.centers).mean()), source, 0, ())
+    across = noise.position**2 + noise.angle**2 * (grid.centers**2).sum(axis=1)
+    lengths = np.sqrt(2.0 * across / np.pi) * ellipe(1.0 - noise.position**2 / np.maximum(across, 1e-300))
+    return NoiseFloor(float(lengths.mean()), "declared noise" if noise.declared else "estimated noise", 0, ())
 
 
 def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:

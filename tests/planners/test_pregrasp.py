@@ -179,6 +179,19 @@ def test_goals_that_are_given_up_are_not_pushed_to():
         next_push(belief, world.pose, [], None, TABLE, SETTINGS, rng())
 
 
+def test_an_object_that_lies_at_any_goal_is_not_pushed():
+    world = CellWorld("box", [0.0, 0.0, 0.0], seed=0)
+    belief = belief_about(world.thing)
+    goals = some_goals(world, belief)
+    world.pose = goals[-1].pose.copy()
+    ended = push_to_goal(world, belief, goals, QUICK, rng())
+    assert ended.reached and not ended.pushes
+    assert near_enough(ended.goal.pose, world.pose, QUICK.push)
+    assert ended.reason == "the object already lies at a goal"
+    ended = push_to_goal(world, belief, goals, replace(QUICK, pushes=1), rng(), good=lambda pose: False)
+    assert not ended.reached and len(ended.pushes) == 1
+
+
 def test_near_enough_is_both_place_and_angle():
     goal = np.array([0.1, 0.2, 3.1])
     settings = PushSettings(tolerance=0.02, tolerance_angle=15.0)

@@ -55,3 +55,9 @@ def test_no_way_is_an_error_that_says_between_what(monkeypatch):
     monkeypatch.setattr(waypoints, "ITERATIONS", 1)
     with pytest.raises(NoWay, match=r"from \[0.435, 0.04"):
         way()
+
+
+@pytest.mark.parametrize("goal", [[0.9, 0.0, 0.0], [3.0, 0.0, 1.0]])
+def test_a_goal_beyond_the_table_is_none(goal):
+    with pytest.raises(NoWay, match="the object falls with a probability of 100%"):
+        way(np.zeros(3), np.array(goal))

@@ -12,7 +12,7 @@ from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
 from slipmap.models.inference.prediction import Prediction
-from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
+from slipmap.models.inference.push_errors import Errors, NoiseFloor, pose_floor
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import PushDataset
 
@@ -112,7 +112,7 @@ def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
 
 
 def _floor(dataset: PushDataset) -> NoiseFloor | None:
-    return noise_floor([], sensor_noise(dataset), dataset.grid, np.random.default_rng(0))
+    return pose_floor(sensor_noise(dataset), dataset.grid)
 
 
 def _excess(held: Sequence[Prediction], floor: NoiseFloor | None) -> float:
@@ -146,10 +146,11 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
         return []
     errors = np.array([push.final_add for push in held])
     found = []
-    if is_doubted(pushes, dataset):
-        floor = _floor(dataset)
+    floor = _floor(dataset)
+    excess = _excess(held, floor)
+    if excess > _MUCH_FARTHER:
         found.append(
-            f"The errors of held-out pushes are {_excess(held, floor):.1f} times (median) what"
+            f"The errors of held-out pushes are {excess:.1f} times (median) what"
             f" {_EXPLAINED[floor.source if floor else '']}. The intervals assume that the model is right"
             " and do not cover this; `slipmap diagnose` looks for what it misses."
         )

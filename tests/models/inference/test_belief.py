@@ -188,3 +188,28 @@ def test_an_outline_seen_again_is_that_of_the_same_object(wider, same):
     else:
         with pytest.raises(BeliefError, match="outlines differ"):
             check_same_object(belief, again)
+
+
+@pytest.mark.parametrize(
+    ("stated", "refusal"),
+    [
+        ({"mass": 1.0}, "a mass of 0.5 kg, but dataset .* states 1 kg"),
+        ({"mass": 0.51}, None),
+        ({"mass": None}, None),
+        ({"gravity": 1.62}, "gravity of 9.81 m/s², but dataset .* states 1.62"),
+        ({"gravity": 9.79}, None),
+    ],
+)
+def test_other_masses_or_gravity_are_of_another_object(stated, refusal):
+    dataset, truth = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
+    weighed = dataclasses.replace(dataset, mass=0.5, gravity=9.81)
+    slider = slipmap.Slider(weighed.grid, weighed.finger_radius, weighed.gravity)
+    belief = Belief.learned(
+        weighed, slider, truth, np.ones(1), method="gauss-newton", seed=0, trials=(), settings={}
+    )
+    other = dataclasses.replace(weighed, **stated)
+    if refusal is None:
+        check_same_object(belief, other)
+    else:
+        with pytest.raises(BeliefError, match=refusal):
+            check_same_object(belief, other)

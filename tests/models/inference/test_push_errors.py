@@ -14,6 +14,7 @@ from slipmap.models.inference.push_errors import (
     resting_errors,
 )
 from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push
 
 GRID = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
@@ -130,7 +131,7 @@ def test_scatter_of_repeats_is_the_floor():
     for _ in range(60):
         ends = [0.05, 0.0, 0.0] + rng.normal(size=(3, 3)) * [scatter, scatter, 0.0]
         pushes = [placed(rng.normal(size=3), end, tip, str(k)) for k, end in enumerate(ends)]
-        floor = noise_floor(pushes, NOISE, GRID, rng)
+        floor = noise_floor(pushes, NOISE, GRID)
         assert floor is not None and floor.source == "repeats" and floor.repeats == 3
         floors.append(floor.add)
     # The mean length of a planar normal vector is σ √(π/2), whatever the size of the group.
@@ -138,15 +139,15 @@ def test_scatter_of_repeats_is_the_floor():
 
 
 @pytest.mark.parametrize(("declared", "source"), [(True, "declared noise"), (False, "estimated noise")])
-def test_noise_of_a_pose_is_the_floor_without_repeats(declared, source):
-    rng = np.random.default_rng(1)
-    push = [observed([[0, 0, 0]])]
-    noise = SensorNoise(1e-3, 0.0, 0.1, declared)
-    floor = noise_floor(push, noise, GRID, rng)
+@pytest.mark.parametrize(("position", "angle"), [(1e-3, 0.0), (1e-3, 0.02), (0.0, 0.02)])
+def test_noise_of_a_pose_is_the_floor_without_repeats(declared, source, position, angle):
+    noise = SensorNoise(position, angle, 0.1, declared)
+    floor = noise_floor([observed([[0, 0, 0]])], noise, GRID)
     assert floor is not None and floor.source == source
-    assert floor.add == pytest.approx(1e-3 * np.sqrt(np.pi / 2), rel=0.05)
+    drawn = np.random.default_rng(1).normal(size=(40_000, 3)) * noise.of_poses
+    assert floor.add == pytest.approx(add(drawn, np.zeros(3), GRID.centers).mean(), rel=0.01)
 
 
 def test_assumed_noise_is_no_floor():
     noise = SensorNoise(1e-4, 1e-3, 0.1, declared=False, assumed=True)
-    assert noise_floor([observed([[0, 0, 0]])], noise, GRID, np.random.default_rng(1)) is None
+    assert noise_floor([observed([[0, 0, 0]])], noise, GRID) is None
