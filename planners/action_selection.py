@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import radius_of_gyration, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
@@ -46,6 +47,7 @@ class Choice:
         return self
 
 
+@one_blas_thread()
 def choose_push(
     grid: CellGrid,
     pose: FloatArray,

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import compose, relative, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
@@ -318,6 +319,7 @@ class PlannedPush:
     pushes: float  # expected number of pushes to the target, this one included
 
 
+@one_blas_thread()
 def plan_push(
     belief: Belief,
     pose: FloatArray,

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects import LIBRARY, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.geometry import angle_between, placed, turn
@@ -58,6 +59,7 @@ _DWELL = 0.5  # s for which the finger stops half-way
 _APPROACH = 0.01  # m between finger and object at the start
 
 
+@one_blas_thread()
 def diagnose(
     dataset: PushDataset,
     *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.library import SensorLatency
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import DatasetError, PushDataset
@@ -34,6 +35,7 @@ class CameraLag:
         return {**vars(self), "shown": self.shown}
 
 
+@one_blas_thread()
 def camera_lag(dataset: PushDataset, progress: Progress | None = None) -> CameraLag | None:
     """Learn the maps and the effect `sensor_latency` together from all pushes; None if they cannot show it.
 

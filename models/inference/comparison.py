@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.files import plain
 from slipmap.models.inference.belief import Belief
@@ -119,6 +120,7 @@ class Comparison:
         return plain(document)
 
 
+@one_blas_thread()
 def compare(
     dataset: PushDataset,
     belief: Belief | Identification | None = None,
@@ -200,6 +202,7 @@ def compare(
     )
 
 
+@one_blas_thread()
 def compare_with_effects(
     dataset: PushDataset, effects: Sequence[Effect | str], *, seed: int = 0, progress: Progress | None = None
 ) -> tuple[Comparison, Comparison]:
@@ -264,6 +267,7 @@ class JointComparison:
         return plain({"datasets": self.datasets, "recurring": recurring, "fitted": self.fitted})
 
 
+@one_blas_thread()
 def compare_together(
     datasets: Sequence[PushDataset],
     effects: Sequence[Effect | str] = (),

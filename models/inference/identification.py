@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import effects_named
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 METHODS = ("gauss-newton", "paper")
 
 
+@one_blas_thread()
 def identify(
     dataset: PushDataset,
     effects: Sequence[Effect | str] = (),
@@ -106,6 +108,7 @@ def identify(
     )  # fmt: skip
 
 
+@one_blas_thread()
 def learn(
     dataset: PushDataset,
     observations: Sequence[Observation],

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import turned_to
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.end_region import EndRegion
@@ -174,6 +175,7 @@ _MASS_ERROR = 0.05  # share by which weighings of one object may differ
 _CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees twice may differ
 
 
+@one_blas_thread()
 def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
@@ -73,6 +74,7 @@ from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, side_by_side, silent
 
 
+@one_blas_thread()
 def diagnose(
     dataset: PushDataset,
     *,
@@ -290,12 +292,10 @@ class Inquiry:
     def _nothing_found(self) -> Outcome:
         """Adequate, unless the pushes scatter or could not have revealed an effect of ordinary size."""
         pushes = len(self.fitter.observations)
-        if pushes < FEWEST_PUSHES:
-            return outcomes.nothing_visible(self.base, f"{pushes} pushes")
-        groups = repeated_pushes(self.fitter.observations)
-        different = pushes - sum(len(group) - 1 for group in groups)
+        different = pushes - sum(len(group) - 1 for group in repeated_pushes(self.fitter.observations))
         if different < FEWEST_PUSHES:
-            few = f"repeats of {different} pushes" if different > 1 else "repeats of one push"
+            what = "one push" if different == 1 else f"{different} pushes"
+            few = what if different == pushes else f"repeats of {what}"
             return outcomes.nothing_visible(self.base, few)
         if self.rules.blind(self.first):
             return outcomes.nothing_visible(self.base, "these pushes")

@@ -29,6 +29,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
@@ -76,6 +77,7 @@ _NEAR_NOISE = 2.0
 """Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
 
 
+@one_blas_thread()
 def diagnose_together(
     datasets: Sequence[PushDataset],
     *,
@@ -119,6 +121,7 @@ def diagnose_together(
     return replace(inquiry.run(draws), seconds=time.perf_counter() - started)
 
 
+@one_blas_thread()
 def fit_together(
     datasets: Sequence[PushDataset],
     effects: Sequence[Effect | str],
