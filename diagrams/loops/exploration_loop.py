@@ -231,6 +231,7 @@ class ExplorationBlocks:
                 (self.multiverse, "mean_pose", (self.visualizer, "predicted_pose")),
                 (self.monitor, "watch", self.visualizer),
                 (command, "active_push", (self.visualizer, "push")),
+                (command, "status", self.visualizer),
             ]
         return wires
 

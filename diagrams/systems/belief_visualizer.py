@@ -4,10 +4,8 @@
 too.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -22,12 +20,13 @@ from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
+from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
+from slipmap.diagrams.systems.notice import INCH, NOTICE, Words, notice, words_of
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MAPS = ("mass", "friction", "mass x friction")
@@ -43,8 +42,7 @@ KEY = (
 )
 """Meaning of the colours over the object."""
 
-BOARD = (0.60, 0.42)  # size of the legend, m
-NOTICE = (0.60, 0.10)  # size of the notice above it, m
+BOARD = (0.69, 0.40)  # size of the legend, m
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 
@@ -132,33 +130,9 @@ def blank_legend() -> bytes:
     return _png(figure)
 
 
-@styled
-def notice(heading: str, line: str, errors: Sequence[float], *, alarming: bool) -> bytes:
-    """PNG of the notice above the board: what happened, and the prediction error of each push.
-
-    Args:
-        errors: of the predicted pushes, in order, m.
-        alarming: whether to draw it in red.
-    """
-    inch, color = 6.4, RED if alarming else INK
-    figure = Figure(figsize=(NOTICE[0] * inch, NOTICE[1] * inch), dpi=220)
-    figure.patch.set_edgecolor(color)
-    figure.patch.set_linewidth(3.0)
-    figure.text(0.03, 0.68, heading, fontsize=8.5, color=color, va="center", weight="bold")
-    figure.text(0.03, 0.28, line, fontsize=7, color=INK, va="center")
-    bars = figure.add_axes((0.82, 0.14, 0.15, 0.52))
-    bars.bar(range(len(errors)), 1e3 * np.array(errors), color=color)
-    bars.set_xlim(-0.6, max(len(errors), 5) - 0.4)
-    bars.set_axis_off()
-    top = 1e3 * max(errors, default=0.0)
-    figure.text(0.97, 0.82, f"errors, to {top:.0f} mm", fontsize=6, color=INK, ha="right", va="center")
-    return _png(figure)
-
-
 def _board(title: str) -> Figure:
     """A board with its title and the key to the colours over the object."""
-    inch = 6.4
-    figure = Figure(figsize=(BOARD[0] * inch, BOARD[1] * inch), dpi=220)
+    figure = Figure(figsize=(BOARD[0] * INCH, BOARD[1] * INCH), dpi=220)
     figure.patch.set_edgecolor(FAINT)
     figure.patch.set_linewidth(2.0)
     figure.text(0.05, 0.90, title, fontsize=14, color=INK, va="center", weight="bold")
@@ -177,17 +151,6 @@ def _png(figure: Figure) -> bytes:
 
 MOST = 12  # hypotheses that can be viewed one by one; the mean includes all of them
 
-_DID = {
-    "adopts": "added to the model",
-    "keeps": "kept in the model",
-    "drops": "effect dropped again",
-    "pushes on": "another push is needed",
-    "goes on without": "nothing to add to the model",
-}
-"""What the robot did about a `Finding`, by its action."""
-
-_LINE = 60  # characters per line of the notice
-
 _ARROWS = 8  # residual arrows, on cells spread over the object
 LEAST_RESIDUAL = 3e-4  # shorter residuals are not drawn, m
 CLEARANCE = 2e-3  # gap between the object's highest cell and the tiles, m
@@ -195,7 +158,7 @@ CLEARANCE = 2e-3  # gap between the object's highest cell and the tiles, m
 VIEW = ((0.56, -0.56, 0.56), (0.07, 0.07, 0.12))
 """Camera position and target that show the whole table and board from close by, m."""
 
-BOARD_PLACE = (0.34, 0.55, 0.41)  # centre of the board, beside the table and behind it as seen from `VIEW`, m
+BOARD_PLACE = (0.29, 0.55, 0.35)  # centre of the board, beside the table and behind it as seen from `VIEW`, m
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
 
@@ -209,7 +172,8 @@ class BeliefVisualizer(PythonSystem):
             a `TrialLogger`, or from `ObservedPose.of` and a pose (3,).
         predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
         push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
-        watch: abstract, `Watch` from a `ModelMonitor`; repair: abstract, `Repair` from a `Diagnosis`.
+        status: abstract, `LoopStatus` of the loop; watch: abstract, `Watch` from a `ModelMonitor`; repair:
+            abstract, `Repair` from a `Diagnosis`.
         seen_object: abstract, `SeenObject` or None: with it, the tiles lie `CLEARANCE` above its highest
             `cell_heights` (m) instead of at `height`.
 
@@ -217,9 +181,10 @@ class BeliefVisualizer(PythonSystem):
     product; the observed outline (black) and the predicted one (orange); residual arrows from predicted to
     observed cells, magnified by `MAGNIFIED` (red); and the hypotheses' centres of mass, larger for higher
     probability (white). The push is drawn on the table (blue). A board shows the colour scale and the
-    probabilities; it is empty until there is a belief. A notice appears above it while the last judged push
-    is a surprising one, and from the first diagnosis on. Sliders choose the hypothesis (by falling
-    probability) and the map; like all inputs, they are read when this system publishes.
+    probabilities; it is empty until there is a belief. A notice above it says what the robot is doing and
+    why, with the error of each push, as far as `status`, `watch` and `repair` tell. Sliders choose the
+    hypothesis (by falling probability) and the map; like all inputs, they are read when this system
+    publishes.
 
     A Meshcat recording stores only transforms and properties. Every map of every belief is therefore a
     separate object, made visible when it is due; a page from `StaticHtml` shows the maps chosen while
@@ -262,7 +227,7 @@ class BeliefVisualizer(PythonSystem):
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
         self.declare_inputs("belief", "object_pose")
         self.DeclareVectorInputPort("predicted_pose", 3)
-        self.declare_inputs("push", "seen_object", "watch", "repair")
+        self.declare_inputs("push", "seen_object", "status", "watch", "repair")
         self._forget()
         for name in (HYPOTHESIS, MAP):
             meshcat.DeleteSlider(name, strict=False)
@@ -283,15 +248,17 @@ class BeliefVisualizer(PythonSystem):
         self._shown_hypotheses = 0
         self._drawn_push: tuple[float, ...] = ()
         self._pushes = 0
+        self._told: tuple[Words | None, list[float]] = (None, [])
+        self._notices = 0
         self._visible: dict[str, str] = {}
         self._outlined: CellGrid | None = None
         self._arrows = np.zeros(0, dtype=int)
 
     def _draw(self, context: Context) -> None:
         time = context.get_time()
-        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch", "repair")
-        belief, seen, predicted, push, seen_object, watch, repair = (
-            self.optional_input(context, name) for name in ports
+        belief, seen, predicted, push, seen_object = (
+            self.optional_input(context, name)
+            for name in ("belief", "object_pose", "predicted_pose", "push", "seen_object")
         )
         if seen_object is not None:
             self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
@@ -306,7 +273,8 @@ class BeliefVisualizer(PythonSystem):
                 predicted = None
             self._place(observed, predicted, time)
         self._draw_push(getattr(push, "push", push), time)
-        self._sign(watch, repair, time)
+        status, watch, repair = (self.optional_input(context, name) for name in ("status", "watch", "repair"))
+        self._sign(status, watch, repair, time)
 
     def _add_blank_board(self, time: float) -> None:
         """Show an empty board until there is a belief."""
@@ -315,38 +283,22 @@ class BeliefVisualizer(PythonSystem):
             self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
             self._show("board", "board/0", time)
 
-    def _sign(self, watch: Watch | None, repair: Repair | None, time: float) -> None:
-        """Show a notice above the board if the last judged push surprised or the model was repaired."""
-        judged = () if watch is None else watch.judged
-        found = repair.findings[-1] if repair is not None and repair.findings else None
-        alarming = bool(judged) and judged[-1].surprising
-        alarming = alarming and (found is None or found.pushes <= judged[-1].trial)
-        if alarming:
-            last = judged[-1]
-            name = f"notice/{last.trial}"
-            error, allowed = beyond_in_millimetres(last.error, last.allowed)
-            heading = f"Push {last.trial:03d} ended {error} mm from its prediction"
-            line = f"expected: {allowed} mm at most. Is the model missing something?"
-            if last.alarm:
-                line = f"expected: {allowed} mm at most. ALARM: {last.criterion}"
-        elif found is not None:
-            name = f"notice/{len(judged)}-{found.pushes}"
-            heading = f"After push {found.pushes}: {_DID[found.action]}"
-            line = " and ".join(found.effects) or f"diagnosis: {found.verdict}"
-            if found.telling:
-                line = fill(f"{line}; the next push tells {found.telling}", _LINE)
-        else:
+    def _sign(
+        self, status: LoopStatus | None, watch: Watch | None, repair: Repair | None, time: float
+    ) -> None:
+        """Show a notice above the board, if there is anything to say."""
+        words = words_of(status, watch, repair, self._drawn_belief)
+        if words is None:
             self._show("notice", "", time)
             return
-        if self._visible.get("notice") != name:
-            errors = [push.error for push in judged]
-            picture = notice(
-                heading, line, errors, alarming=found is None or found.pushes <= judged[-1].trial
-            )
-            self._hidden(name, billboard(picture, *NOTICE))
+        errors = [] if watch is None else [push.error for push in watch.judged]
+        if (words, errors) != self._told:
+            self._told = (words, errors)
+            self._notices += 1
+            self._hidden(f"notice/{self._notices}", billboard(notice(words, errors), *NOTICE))
             above = np.array([0.0, 0.0, (BOARD[1] + NOTICE[1]) / 2 + 0.01])
             self._meshcat.SetTransform(f"{self._path}/notice", self._board @ RigidTransform(above), 0.0)
-            self._show("notice", name, time)
+        self._show("notice", f"notice/{self._notices}", time)
 
     def _add_belief(self, belief: Belief) -> None:
         """Add all objects of a belief, still invisible."""

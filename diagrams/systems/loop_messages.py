@@ -16,6 +16,7 @@ class LoopStatus:
     push: int  # number of the current or next push, from 0
     attempt: int = 0  # number of the candidate for it, from 0; earlier ones were refused or touched nothing
     reason: str = ""  # why the loop failed, or why the arm refused the previous candidate; else empty
+    of: int = 0  # pushes of the exploration, as planned so far; 0 once it is over
 
     @property
     def number(self) -> int:

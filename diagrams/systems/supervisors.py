@@ -55,7 +55,8 @@ class PushSupervisor(PythonSystem):
         self._pushes = fit + heldout
         self.declare_inputs("object_pose", "cell_grid", "plan", "execution", "trials", "learned", "missed")
         self.declare_inputs("repair")
-        start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
+        mode, push = ("learning", made - 1) if made else ("looking", 0)
+        start = LoopStatus(mode, push, of=self._pushes)
         self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
         self.DeclareDiscreteState(1)  # since when it waits, s
@@ -67,6 +68,7 @@ class PushSupervisor(PythonSystem):
         now: LoopStatus = read(context, self._status)
         following = self._next(context, now)
         if following != now:
+            following = replace(following, of=self._planned(context))
             replace_held(state, self._status, following)
             state.get_mutable_discrete_state(0)[0] = context.get_time()
             active = None
@@ -118,11 +120,16 @@ class PushSupervisor(PythonSystem):
         settled = repair is None or repair.trials >= done
         if not settled and now.mode == "learning":
             return LoopStatus("diagnosing", now.push)
-        fit = self._fit if repair is None else max(self._fit, repair.wanted)
+        pushes = self._planned(context)
+        fit = pushes - (self._pushes - self._fit)
         if not settled or self.input(context, "learned") < min(done, fit):
             return now
-        pushes = self._pushes + fit - self._fit
         return LoopStatus("finished" if done >= pushes else "looking", done)
+
+    def _planned(self, context: Context) -> int:
+        """Number of pushes to make, with those that the repair asked for."""
+        repair: Repair | None = self.optional_input(context, "repair")
+        return self._pushes + (0 if repair is None else max(repair.wanted - self._fit, 0))
 
     def _look(self, context: Context, now: LoopStatus) -> LoopStatus:
         pose = self.input(context, "object_pose")

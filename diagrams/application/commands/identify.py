@@ -347,8 +347,8 @@ def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
 
 def show_effects(result: Identification) -> None:
     """Print the sizes of the model's effects, each in a sentence."""
-    from slipmap.diagrams.application.reports.effect_words import effect_in_words
     from slipmap.models.inference.diagnosis.results import estimates_by_effect
+    from slipmap.models.inference.effect_words import effect_in_words
 
     every = estimates_by_effect(result)
     for name, estimates in every.items():

@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipmap.diagrams.application.figures.style import draw_finger, draw_outline, scale_bar
-from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.effects import Effect, Scene
 from slipmap.models.effects.effect import bounds, scales
 from slipmap.models.effects.written import Written, written
 from slipmap.models.geometry import placed
+from slipmap.models.inference.effect_words import unit_text
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider, Smoothing

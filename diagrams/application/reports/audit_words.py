@@ -7,9 +7,9 @@ from html import escape
 
 from slipmap.diagrams.application.audit.procedure import Audit
 from slipmap.diagrams.application.figures.study_figures import ends_figure, friction_figure, prices_figure
-from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.application.reports.html_page import Section, page, picture, table
 from slipmap.diagrams.application.terminal import paragraph, table as print_table
+from slipmap.models.inference.effect_words import unit_text
 
 _COLUMNS = (
     "engine", "price, mm", "price at half the step, mm", "step, ms", "defects", "effect that explains most",

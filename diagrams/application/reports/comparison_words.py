@@ -305,11 +305,5 @@ def millimetres(metres: float) -> str:
     return "–" if not math.isfinite(value) else f"{value:.2f}" if value < 1 else f"{value:.1f}"
 
 
-def decimals(size: float) -> int:
-    """Decimals that show two figures of a number of this size, 0 to 8."""
-    size = abs(size)
-    return min(max(1 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) and size > 0 else 3
-
-
 def _pushes(count: int) -> str:
     return "one push" if count == 1 else f"{count} pushes"

@@ -14,12 +14,12 @@ from slipmap.diagrams.application.figures import (
 from slipmap.diagrams.application.reports import diagnosis_words as phrases
 from slipmap.diagrams.application.reports.comparison_report import comparison_sections
 from slipmap.diagrams.application.reports.comparison_words import finding
-from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis.locked import with_locked
 from slipmap.models.inference.diagnosis.results import Diagnosis, JointDiagnosis
+from slipmap.models.inference.effect_words import effect_in_words, parameter_rows
 from slipmap.models.measurements import PushDataset
 from slipmap.models.progress import Progress, silent
 

@@ -13,7 +13,6 @@ import click
 import numpy as np
 
 from slipmap.diagrams.application.reports.comparison_words import millimetres
-from slipmap.diagrams.application.reports.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
@@ -28,6 +27,7 @@ from slipmap.models.inference.diagnosis.results import (
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH, far_above_noise
+from slipmap.models.inference.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.models.measurements import PushDataset
 
 if TYPE_CHECKING:

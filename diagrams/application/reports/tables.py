@@ -8,6 +8,7 @@ import numpy as np
 from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison, JointComparison
+from slipmap.models.inference.effect_words import decimals
 from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
@@ -330,7 +331,7 @@ def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
     low, high = factor * quantity.low, factor * quantity.high
     decades = low > 0 and high > 5 * low
     numbers = [
-        f"{number:z.{phrases.decimals(number if decades else high - low)}f}"
+        f"{number:z.{decimals(number if decades else high - low)}f}"
         for number in (*(factor * value for value in values), low, high)
     ]
     return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")

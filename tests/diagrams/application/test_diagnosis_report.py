@@ -20,12 +20,12 @@ from slipmap.diagrams.application.reports.diagnosis_words import (
     show_diagnosis,
     standing,
 )
-from slipmap.diagrams.application.reports.effect_words import READERS, effect_in_words, parameter_rows
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
+from slipmap.models.inference.effect_words import READERS, effect_in_words, parameter_rows
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Slider

@@ -13,7 +13,6 @@ from slipmap.diagrams.application.commands.options import typed
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 from slipmap.diagrams.application.reports.diagnosis_words import joint_ranking, show_together, where_it_falls
-from slipmap.diagrams.application.reports.effect_words import in_the_middle
 from slipmap.diagrams.application.reports.tables import joint_rows
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.comparison import Comparison, JointComparison, totals
@@ -25,6 +24,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
     ParameterEstimate,
 )
+from slipmap.models.inference.effect_words import in_the_middle
 from slipmap.models.inference.residual_structure import Pattern
 from slipmap.models.measurements import write_dataset
 from tests.made_predictions import made_prediction

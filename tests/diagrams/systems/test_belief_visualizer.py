@@ -24,7 +24,6 @@ from slipmap.diagrams.systems.belief_visualizer import (
     HYPOTHESIS,
     MAP,
     MAPS,
-    NOTICE,
     VIEW,
     BeliefVisualizer,
     legend,
@@ -32,6 +31,7 @@ from slipmap.diagrams.systems.belief_visualizer import (
 )
 from slipmap.diagrams.systems.look import MAP_COLORS
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
+from slipmap.diagrams.systems.notice import NOTICE
 from slipmap.diagrams.systems.unlit_meshes import tiles
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.rollout import Maps
@@ -238,7 +238,7 @@ def test_a_sign_is_up_while_the_last_push_is_one_that_surprised(
     played: tuple[Recorder, Simulator],
 ) -> None:
     recorder, simulator = played
-    for until, signs in ((0.45, set()), (0.65, {"notice/6"}), (0.9, set())):
+    for until, signs in ((0.45, set()), (0.65, {"notice/1"}), (0.9, set())):
         simulator.AdvanceTo(until)
         assert {path for path in recorder.visible() if path.startswith("notice")} == signs
     X_WN = next(pose for path, pose, _ in recorder.transforms if path == "/belief/notice")

@@ -1,13 +1,15 @@
 """Sizes of effects in everyday terms: a tilt in degrees and its direction instead of two slopes."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from slipmap.diagrams.application.reports.comparison_words import decimals
 from slipmap.models.effects.effect import Effect, Parameter
+from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
+from slipmap.models.inference.summaries import interval
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 
@@ -25,8 +27,12 @@ class Reading:
 
     def said(self) -> str:
         """The reading with its number and interval."""
-        value, low, high = shown_numbers(self.value, self.low, self.high)
-        return self.text.format(f"{value}") + f" ({low} to {high})"
+        _, low, high = shown_numbers(self.value, self.low, self.high)
+        return f"{self.value_said()} ({low} to {high})"
+
+    def value_said(self) -> str:
+        """The reading with its number alone."""
+        return self.text.format(shown_numbers(self.value, self.low, self.high)[0])
 
 
 Reader = Callable[[Estimates, CellGrid], list[Reading]]
@@ -38,12 +44,26 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
     Args:
         grid: the object's, whose size some effects depend on.
     """
+    return ", ".join(reading.said() for reading in _readings(name, estimates, grid))
+
+
+def effect_of_belief(name: str, belief: Belief) -> list[str]:
+    """The numbers of an effect, each in words: medians over a belief's hypotheses, without intervals."""
+    estimates = []
+    columns = iter(belief.maps.effects.T)
+    for effect in belief.effects:
+        for parameter, values in zip(effect.parameters, columns, strict=False):
+            numbers = interval(values, belief.probability)
+            estimates.append(ParameterEstimate(effect.name, parameter.name, parameter.unit, *numbers))
+    own = [estimate for estimate in estimates if estimate.effect == name]
+    return [reading.value_said() for reading in _readings(name, own, belief.grid)]
+
+
+def _readings(name: str, estimates: Sequence[ParameterEstimate], grid: CellGrid) -> list[Reading]:
     reader = READERS.get(name)
     if reader is None or not estimates:
-        readings = [Reading(f"{e.name} {{}}{unit_text(e.unit)}", e.value, e.low, e.high) for e in estimates]
-    else:
-        readings = reader({e.name: e for e in estimates}, grid)
-    return ", ".join(reading.said() for reading in readings)
+        return [Reading(f"{e.name} {{}}{unit_text(e.unit)}", e.value, e.low, e.high) for e in estimates]
+    return reader({e.name: e for e in estimates}, grid)
 
 
 def in_the_middle(name: str, estimates: Sequence[ParameterEstimate], datasets: Sequence[PushDataset]) -> str:
@@ -93,6 +113,12 @@ def _at_an_end(value: float, parameter: Parameter) -> bool:
 def unit_text(unit: str) -> str:
     """The unit after a number; nothing where there is none."""
     return "" if unit == "1" else f" {unit}"
+
+
+def decimals(size: float) -> int:
+    """Decimals that show two figures of a number of this size, 0 to 8."""
+    size = abs(size)
+    return min(max(1 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) and size > 0 else 3
 
 
 def shown_numbers(*values: float) -> tuple[str, ...]:
