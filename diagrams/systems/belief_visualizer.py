@@ -158,7 +158,7 @@ CLEARANCE = 2e-3  # gap between the object's highest cell and the tiles, m
 VIEW = ((0.56, -0.56, 0.56), (0.07, 0.07, 0.12))
 """Camera position and target that show the whole table and board from close by, m."""
 
-BOARD_PLACE = (0.29, 0.55, 0.35)  # centre of the board, beside the table and behind it as seen from `VIEW`, m
+BOARD_PLACE = (0.29, 0.55, 0.31)  # centre of the board, beside the table and behind it as seen from `VIEW`, m
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
 
