@@ -50,7 +50,8 @@ class Pursuit:
     """The history of pushing; empty before the first push."""
 
     way: Way | None = None  # followed now; None at first
-    served: tuple[int, ...] = ()  # index of the goal of every push made
+    # index of the goal of every push made; -1 for goals that are none any more
+    served: tuple[int, ...] = ()
     refused: tuple[TablePush, ...] = ()  # pushes that the robot refused since the last one made
     refusal: str = ""  # why it refused the last of these
 
@@ -62,9 +63,13 @@ class Pursuit:
         """The history with one more push refused by the robot."""
         return replace(self, way=way, refused=(*self.refused, push), refusal=refusal)
 
+    def to_other_goals(self) -> Pursuit:
+        """The history where the goals were replaced: the pushes count, but served none of the new ones."""
+        return replace(self, way=None, served=(-1,) * len(self.served))
+
     def left_out(self, patience: int) -> set[int]:
         """Goals that at least `patience` pushes have served."""
-        return {goal for goal, count in Counter(self.served).items() if count >= patience}
+        return {goal for goal, count in Counter(self.served).items() if goal >= 0 and count >= patience}
 
 
 @dataclass(frozen=True, eq=False)

@@ -262,7 +262,7 @@ class BeliefVisualizer(PythonSystem):
         )
         if seen_object is not None:
             self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
-        if belief is not None and not _same(belief, self._drawn_belief):
+        if belief is not None and not belief.same_as(self._drawn_belief):
             self._add_belief(belief)
         if self._drawn_belief is None:
             self._add_blank_board(time)
@@ -404,14 +404,6 @@ class BeliefVisualizer(PythonSystem):
     def _pose(self, pose: FloatArray, above: float) -> RigidTransform:
         place: Any = [pose[0], pose[1], self._level + above]
         return RigidTransform(RotationMatrix.MakeZRotation(pose[2]), place)
-
-
-def _same(belief: Belief, other: Belief | None) -> bool:
-    """Whether two beliefs look the same, as a Context may hold a copy."""
-    if other is None or belief is other:
-        return belief is other
-    pairs = ((belief.maps.mass, other.maps.mass), (belief.maps.mu, other.maps.mu))
-    return all(np.array_equal(a, b) for a, b in (*pairs, (belief.probability, other.probability)))
 
 
 def _spread_cells(grid: CellGrid, count: int) -> np.ndarray:

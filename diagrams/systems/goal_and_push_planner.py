@@ -43,10 +43,10 @@ CanSee = Callable[[SeenObject, FloatArray], bool]
 class _Planning:
     """The state of planning."""
 
-    known: Belief  # the belief that the method plans with
+    belief: Belief  # that was learned
+    known: Belief  # what the method makes of it, and plans with
     thing: Graspable  # the object with its grasps
     goals: tuple[Goal, ...]  # acceptable goals
-    effects: tuple[str, ...] = ()  # of the model
     pursuit: Pursuit = field(default_factory=Pursuit)  # results of the pushes so far
     last: Decision | None = None  # the decision behind the plan
     plan: PregraspPlan | None = None  # the present plan
@@ -89,9 +89,12 @@ class _Procedure:
     ) -> _Planning:
         """Plan for a status, with the object at a pose (3,)."""
         rng = np.random.default_rng([self.seed, status.push, status.attempt])
-        if planning is None or planning.effects != _effects_of(belief):
-            planning = self._begun(belief, seen, rng)
-        return self._planned(planning.continued(status), status.number, pose, seen, rng)
+        before = None if planning is None else planning.continued(status)
+        if before is None or not belief.same_as(before.belief):
+            # Goals of an old belief may be places where the object falls.
+            pursuit = Pursuit() if before is None else before.pursuit.to_other_goals()
+            before = replace(self._begun(belief, seen, rng), pursuit=pursuit)
+        return self._planned(before, status.number, pose, seen, rng)
 
     def _begun(self, belief: Belief, seen: SeenObject, rng: np.random.Generator) -> _Planning:
         truth = self.truth(seen) if self.method == "true" and self.truth is not None else None
@@ -103,7 +106,7 @@ class _Procedure:
             return self.can_see(seen, goal.pose) and self.can_grasp(active)
 
         goals = tuple(thing.sample_goals(self.table, rng, can_serve))
-        return _Planning(known, thing, goals, _effects_of(belief))
+        return _Planning(belief, known, thing, goals)
 
     def _planned(
         self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
@@ -172,8 +175,8 @@ class GoalAndPushPlanner(PythonSystem):
     Outputs:
     - `plan`: `PregraspPlan | None`; it stays until the loop asks for another.
 
-    Goals are sampled for the first plan, and again when the effects of the belief change. Without a worker,
-    the simulation waits while the block computes. The random draws for a plan depend only on the seed and its
+    Goals are sampled for the first plan, and again when the belief changes. Without a worker, the simulation
+    waits while the block computes. The random draws for a plan depend only on the seed and its
     number.
 
     Args:
@@ -238,10 +241,6 @@ class GoalAndPushPlanner(PythonSystem):
         replace_held(state, self._job, None)
         replace_held(state, self._planning, job.result())
         return EventStatus.Succeeded()
-
-
-def _effects_of(belief: Belief) -> tuple[str, ...]:
-    return tuple(effect.name for effect in belief.effects)
 
 
 def _same_place(one: Grasp, other: Grasp) -> bool:

@@ -188,6 +188,15 @@ class Belief:
         """The same hypotheses for pushes on another table; None is a table whose rim is not known."""
         return self if table == self.table else replace(self, table=table)
 
+    def same_as(self, other: Belief | None) -> bool:
+        """Whether another belief has the same hypotheses and effects, as a copy of this one has."""
+        if other is None or self is other:
+            return self is other
+        names = [[effect.name for effect in one.effects] for one in (self, other)]
+        pairs = [(getattr(self.maps, name), getattr(other.maps, name)) for name in ("mass", "mu", "effects")]
+        pairs += [(self.maps.mu_finger, other.maps.mu_finger), (self.probability, other.probability)]
+        return names[0] == names[1] and all(np.array_equal(own, others) for own, others in pairs)
+
     @property
     def end_errors(self) -> FloatArray:
         """(3,) model error at the end of a push beyond the spread of the hypotheses: standard deviations of

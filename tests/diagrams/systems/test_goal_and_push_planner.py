@@ -12,8 +12,12 @@ from driven_block import DrivenBlock, seen_at
 from slipmap.diagrams.systems.goal_and_push_planner import PERIOD, GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import Belief
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.rollout import Maps, Smoothing
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
 from tests.planners.cell_world import TABLE, belief_about
 
@@ -29,9 +33,9 @@ MIDDLE = (0.0, 0.0, 0.5)
 
 
 class Planner(DrivenBlock):
-    def __init__(self, **options) -> None:
+    def __init__(self, settings=SETTINGS, **options) -> None:
         super().__init__(
-            GoalAndPushPlanner(SETTINGS, TABLE, **options),
+            GoalAndPushPlanner(settings, TABLE, **options),
             belief=BELIEF, object_pose=seen_at(*MIDDLE), seen_object=SEEN, status=LoopStatus("recording", 4),
         )  # fmt: skip
         self.advance(0.5 * PERIOD)
@@ -117,6 +121,35 @@ def test_a_belief_with_another_effect_is_planned_with_anew():
     assert (ours.push.push.end == theirs.push.push.end).all()
     assert (ours.push.predicted == theirs.push.predicted).all()
     assert (ours.push.predicted != Planner().plan(6).push.predicted).any()
+
+
+def test_goals_follow_a_belief_that_changes_though_its_effects_do_not():
+    """A bar whose mass turns out to be at its other end would fall at the goals found before."""
+    grid = cells_from_polygon([[-0.12, -0.015], [0.12, -0.015], [0.12, 0.015], [-0.12, 0.015]], count=60)
+    at_one_end = np.where(grid.centers[:, 0] < -0.05, 1.0, 0.02)
+
+    def believed(mass):
+        maps = Maps(mass[None] / mass.sum(), np.full((1, len(grid)), 0.4), np.array([0.3]))
+        return Belief(grid, 0.008, 9.81, maps, np.ones(1), Smoothing(), "bar", "", "gauss-newton", 0, {})
+
+    before, after = believed(at_one_end), believed(at_one_end[::-1])
+    seen = SimpleNamespace(grid=grid, cell_heights=np.full(len(grid), 0.03))
+    planner = Planner()
+    first = planner.plan(5, belief=before, seen_object=seen)
+    second = planner.plan(6, belief=after)
+    for belief, plan in ((before, first), (after, second)):
+        margins = balance_margins(grid, belief.centers_of_mass, plan.goal.pose[None], TABLE)
+        assert (margins > 0).all() and plan.push.fall_probability == 0.0
+    assert (balance_margins(grid, after.centers_of_mass, first.goal.pose[None], TABLE) < 0).all()
+
+
+def test_a_belief_that_changes_does_not_renew_the_number_of_pushes():
+    settings = replace(SETTINGS, pushes=2)
+    planner = Planner(settings=settings)
+    for push in (5, 6):
+        assert planner.plan(push, belief=replace(BELIEF, probability=np.eye(4)[push - 5])).push is not None
+    last = planner.plan(7, belief=replace(BELIEF, probability=np.eye(4)[2]))
+    assert last.push is None and "no goal was reached in 2 pushes" in last.reason
 
 
 def test_the_true_maps_are_asked_for_by_the_method_true_alone():
