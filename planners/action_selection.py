@@ -15,14 +15,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.blas import one_blas_thread
-from slipmap.models.geometry import radius_of_gyration, turn
+from slipmap.models.geometry import placed, radius_of_gyration, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.rollout import Push, RolloutError
+from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
 from slipmap.planners.settings import STRATEGIES, PokeSettings
@@ -31,6 +34,8 @@ from slipmap.planners.table_push import TablePush
 if TYPE_CHECKING:
     from slipmap.planners.telling_push import Question
 
+_SAFE = 0.02  # m; least balance margin after a push, which may end some millimetres off
+_FARTHEST = 2.0  # times the finger's way; no point of a pushed object goes farther
 _TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
 
 
@@ -59,12 +64,15 @@ def choose_push(
     settings: PokeSettings | None = None,
     tap: bool | None = None,
     question: Question | None = None,
+    table: Table | None = None,
     allowed: Callable[[TablePush], bool] = lambda push: True,
     rng: np.random.Generator,
 ) -> Choice:
     """Choose the next push (Algorithm 2).
 
-    Without past pushes, or without a belief if the strategy needs one, the choice is random.
+    Without past pushes, or without a belief if the strategy needs one, the choice is random. A push after
+    which the object could fall from the table is not chosen: all hypotheses must keep it balanced by 20 mm,
+    or by no less than before. Without a belief, its whole outline must stay on the table, or no less of it.
 
     Args:
         grid: the object.
@@ -78,6 +86,7 @@ def choose_push(
             can make none of the taps, a slow push is chosen instead.
         question: models that the push should tell apart; overrides the strategy. Such a push is slow, because
             the finger must stay in contact.
+        table: its top; that of the belief if None. If neither is known, nothing is known to fall.
         allowed: whether the robot can make a push; called in order of preference until one is found.
         rng: source of every draw.
 
@@ -96,6 +105,10 @@ def choose_push(
     tapping = tapping and question is None
     choices = [_choice(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
     choices = [choice for choice in choices if _stays(choice, grid, pose, habits)]
+    table = table if table is not None or belief is None else belief.table
+    if table is not None:
+        safe = _balanced(choices, pose, grid, finger_radius, belief, table)
+        choices = [choice for choice, stays in zip(choices, safe, strict=True) if stays]
     if question is not None:
         worth = question.told_by([_imagined(choice.push, pose, question.habits.pushes) for choice in choices])
     elif strategy == "most-different" and past:
@@ -113,11 +126,11 @@ def choose_push(
     if tapping:
         return choose_push(
             grid, pose, finger_radius, strategy=strategy, belief=belief, past=past, settings=settings,
-            tap=False, allowed=allowed, rng=rng,
+            tap=False, table=table, allowed=allowed, rng=rng,
         )  # fmt: skip
     raise NoReachablePush(
-        f"exploration: {len(choices)} of {len(contacts)} candidate pushes keep the object in its region,"
-        " and the robot can make none of them"
+        f"exploration: {len(choices)} of {len(contacts)} candidate pushes keep the object in its region"
+        " and safe on the table, and the robot can make none of them"
     )
 
 
@@ -134,6 +147,39 @@ def _stays(choice: Choice, grid: CellGrid, pose: FloatArray, settings: PokeSetti
     middle = pose[:2] + turn(pose[2]) @ grid.centers.mean(axis=0) - np.asarray(settings.center)
     after = middle + choice.push.direction * (choice.push.length - settings.approach)
     return bool(np.hypot(*after) < max(settings.region, np.hypot(*middle)))
+
+
+def _balanced(
+    choices: Sequence[Choice],
+    pose: FloatArray,
+    grid: CellGrid,
+    finger_radius: float,
+    belief: Belief | None,
+    table: Table,
+) -> NDArray[np.bool_]:
+    """(S,) whether the object stays safe on the table after each push, see `choose_push`."""
+    if not choices:
+        return np.zeros(0, dtype=bool)
+    longest = max(choice.push.length for choice in choices)
+    if table.margin(placed(grid.exterior, pose)).min() > _FARTHEST * longest:
+        return np.ones(len(choices), dtype=bool)
+    if belief is None:
+        slider = Slider(grid, finger_radius, table=table)
+        maps = Maps(np.full((1, len(grid)), 1.0 / len(grid)), np.full((1, len(grid)), 0.3), np.array([0.3]))
+    else:
+        slider, maps = belief.on(table).slider, belief.maps
+    try:
+        rollouts = slider.rollout(maps, [_imagined(choice.push, pose) for choice in choices])
+    except RolloutError:
+        return np.zeros(len(choices), dtype=bool)
+    places = np.concatenate([rollouts.end[..., :3], np.broadcast_to(pose, (len(maps), 1, 3))], axis=1)
+    if belief is None:
+        margins = table.margin(placed(grid.exterior, places[..., None, :])).min(axis=-1)
+    else:
+        margins = own_balance_margins(grid, belief.centers_of_mass[:, None], places, table)
+    least, falls = margins.min(axis=0), rollouts.tipped.any(axis=0)
+    wanted = min(0.0 if belief is None else _SAFE, least[-1])
+    return np.asarray((least[:-1] >= wanted) & ~falls)
 
 
 def _differences(choices: Sequence[Choice], past: Sequence[Choice], grid: CellGrid) -> FloatArray:

@@ -132,7 +132,7 @@ def explore(
         choice = choose_push(
             grid, world.look(), world.finger_radius,
             strategy=settings.strategy, belief=belief, past=choices, settings=settings.poke,
-            allowed=allowed, rng=rng,
+            table=world.table, allowed=allowed, rng=rng,
         )  # fmt: skip
         try:
             trial = world.push(choice.push)

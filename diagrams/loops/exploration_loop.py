@@ -299,6 +299,7 @@ def add_exploration(
             Exploration(
                 options.strategy, options.pushes, execution.finger_radius, scenario.pokes,
                 checks.can_push, options.seed, worker, () if before is None else before.choices,
+                scenario.table.make(),
             ),
         ),
         executor=add("executor", PushExecutor(model, HOME, execution, checks.table)),
@@ -366,6 +367,7 @@ def check_reach(scenario: Scenario, thing: TrueObject) -> None:
     try:
         choose_push(
             grid, pose, execution.finger_radius, strategy="random", settings=scenario.pokes, tap=False,
+            table=scenario.table.make(),
             allowed=partial(checks.can_push, Obstacle(thing.grid, thing.height, pose)),
             rng=np.random.default_rng(0),
         )  # fmt: skip

@@ -12,6 +12,7 @@ from slipmap.diagrams.execution.clearance import Obstacle
 from slipmap.diagrams.systems.loop_messages import CHOOSING, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
+from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import SeenObject
 from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
@@ -44,6 +45,7 @@ class Exploration(PythonSystem):
         worker: runs the computation; if None, this process does, and the simulation waits. It must be able to
             pickle `allowed`.
         past: pushes made earlier.
+        table: its top, from which the object must not fall; unknown if None.
 
     Example:
         >>> import slipmap
@@ -63,6 +65,7 @@ class Exploration(PythonSystem):
         seed: int,
         worker: Executor | None = None,
         past: Sequence[Choice] = (),
+        table: Table | None = None,
     ) -> None:
         super().__init__()
         self._strategy = strategy
@@ -70,6 +73,7 @@ class Exploration(PythonSystem):
         self._finger_radius = finger_radius
         self._settings = settings
         self._allowed = allowed
+        self._table = table
         self._seed = seed
         self._worker = worker
         self.declare_inputs("belief", "object_pose", "seen_object", "status", "repair")
@@ -108,6 +112,7 @@ class Exploration(PythonSystem):
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,
                 question=question,
+                table=self._table,
                 allowed=partial(self._allowed, Obstacle(seen.grid, seen.cell_heights, pose.pose)),
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )

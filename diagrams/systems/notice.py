@@ -68,7 +68,8 @@ def words_of(
         asks = f"ALARM: {last.criterion}" if last.alarm else "Is the model missing something?"
         return Words(doing, f"Last push ended {error} mm off", f"{expected} {asks}", True)
     if found is not None:
-        return Words(doing, *_found(found, belief))
+        exploring = status is None or status.of > 0  # pushes towards the edge are not chosen to find out more
+        return Words(doing, *_found(found, belief, asks=exploring))
     if judged and doing:
         count = "The last push" if len(judged) == 1 else f"{len(judged)} pushes"
         return Words(doing, "No surprise so far", f"{count} ended where the belief had predicted.")
@@ -85,9 +86,10 @@ def _doing(status: LoopStatus) -> str:
     return f"To the edge: push {status.push + 1}"
 
 
-def _found(found: Finding, belief: Belief | None) -> tuple[str, str]:
+def _found(found: Finding, belief: Belief | None, *, asks: bool) -> tuple[str, str]:
     """Heading and reason of a finding, with the sizes of effects once the belief has them."""
-    did, names = _DID[found.action], " and ".join(found.effects)
+    action = "goes on without" if found.action == "pushes on" and not asks else found.action
+    did, names = _DID[action], " and ".join(found.effects)
     known = set() if belief is None else {effect.name for effect in belief.effects}
     sizes: list[str] = []
     if belief is not None and set(found.effects) <= known:
@@ -96,7 +98,7 @@ def _found(found: Finding, belief: Belief | None) -> tuple[str, str]:
         short = len(found.effects) == 1 and sizes and len(f"{did}: {sizes[0]}") <= _HEADING
         did = f"{did}: {sizes[0] if short else names}"
     told = f"{', '.join(sizes)}. " if sizes else ""
-    if found.telling:
+    if found.telling and asks:
         return did, f"The next push tells {found.telling}."
     if found.action == "adopts":
         return did, f"{told}The next pushes test it."

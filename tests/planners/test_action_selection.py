@@ -7,9 +7,11 @@ import pytest
 import shapely
 
 from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import hammer
-from slipmap.models.physics.rollout import Maps, Smoothing
-from slipmap.planners.action_selection import choose_push
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.rollout import Maps, Slider, Smoothing
+from slipmap.planners.action_selection import _imagined, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 
@@ -117,6 +119,44 @@ def test_the_object_stays_in_its_region():
         middle = far[:2] + np.array([[c, -s], [s, c]]) @ grid.centers.mean(axis=0)
         way = choice.push.direction * (choice.push.length - PokeSettings().approach)
         assert np.hypot(*(middle + way)) < np.hypot(*middle)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_near_the_rim_no_push_risks_a_fall(known):
+    """The table's rim is 4 cm from the hammer's centre of mass, and under its head."""
+    grid, truth = hammer()
+    center = truth.mass[0] @ grid.centers / truth.mass[0].sum()
+    table = Table("rectangle", (POSE[0] + 0.2 - 0.5, 0.0), size=(1.0, 0.8))
+    pose = np.array([0.18 - center[0], -0.03, 0.0])
+    habits = PokeSettings(region=0.5)
+    belief = a_belief([truth.mass[0], truth.mass[0]]) if known else None
+    slider = Slider(grid, RADIUS, table=table)
+
+    def worst(**options):
+        ends = []
+        for seed in range(15):
+            choice = choose_push(
+                grid, pose, RADIUS, rng=np.random.default_rng(seed), strategy="random", settings=habits,
+                belief=belief, **options,
+            )  # fmt: skip
+            end = slider.rollout(truth, [_imagined(choice.push, pose)]).end[0, :, :3]
+            ends.append(balance_margins(grid, [center], end, table).min())
+        return min(ends)
+
+    now = balance_margins(grid, [center], pose[None], table).min()
+    assert 0.03 < now < 0.05
+    assert worst() < 0.0
+    assert worst(table=table) > (0.02 if known else 0.0)
+
+
+def test_where_nothing_is_safe_it_says_so():
+    grid = hammer()[0]
+    tiny = Table("round", tuple(POSE[:2]), radius=0.25)
+    with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
+        choose_push(
+            grid, POSE, RADIUS, table=tiny, rng=np.random.default_rng(0),
+            settings=PokeSettings(shortest=0.25, longest=0.3),
+        )  # fmt: skip
 
 
 def test_what_the_robot_cannot_do_is_passed_over():

@@ -242,7 +242,7 @@ def pregrasp(
         raise (click.Abort() if stopped else click.ClickException(str(error))) from error
     _show_exploration(run.exploration)
     _show_pregrasp(run)
-    _show_surprises(run.exploration, cell.folder)
+    _show_surprises(run.exploration, cell.folder, run.explorations)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if not run.held:
@@ -292,8 +292,11 @@ def _show_exploration(run: ExplorationRun) -> None:
     paragraph(_monitor_words(run.watch))
 
 
-def _show_surprises(run: ExplorationRun, folder: Path) -> bool:
+def _show_surprises(run: ExplorationRun, folder: Path, explored: int | None = None) -> bool:
     """Print which pushes ended outside their intervals, and how the model was repaired if it was to adapt.
+
+    Args:
+        explored: as for `repair_story`.
 
     Returns:
         Whether these pushes are more, or farther out, than chance explains.
@@ -303,7 +306,7 @@ def _show_surprises(run: ExplorationRun, folder: Path) -> bool:
 
     where = options.typed([folder / "pushes"])
     beyond_chance = show_surprises(run.identification.pushes, where, "the final belief's")
-    for sentence in [] if run.repair is None else repair_story(run.repair, run.watch):
+    for sentence in [] if run.repair is None else repair_story(run.repair, run.watch, explored):
         paragraph(sentence)
     return beyond_chance
 

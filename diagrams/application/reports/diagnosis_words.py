@@ -413,11 +413,15 @@ _DID = {
 }
 
 
-def repair_story(repair: Repair, watch: Watch) -> list[str]:
-    """Sentences on each diagnosis and the action taken, then on how much the error fell."""
+def repair_story(repair: Repair, watch: Watch, explored: int | None = None) -> list[str]:
+    """Sentences on each diagnosis and the action taken, then on how much the error fell.
+
+    Args:
+        explored: number of pushes to explore, if others towards the edge followed; None if none did.
+    """
     if not repair.findings:
         return ["The model was not repaired: no push gave cause for a diagnosis."]
-    said = [_finding(finding) for finding in repair.findings]
+    said = [_finding(one, asks=explored is None or one.pushes < explored) for one in repair.findings]
     said += _widening(repair.findings[-1], watch.judged)
     after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
     before = [push for push in watch.judged if push not in after]
@@ -429,13 +433,18 @@ def repair_story(repair: Repair, watch: Watch) -> list[str]:
     return said
 
 
-def _finding(finding: Finding) -> str:
+def _finding(finding: Finding, *, asks: bool) -> str:
+    """What one finding says; `asks` is whether the pushes after it were chosen to find out more."""
     did = _DID[finding.action].format(effects=_names(finding.effects))
+    if not asks and finding.action == "pushes on":
+        did = _DID["goes on without"]
     from slipmap.diagrams.systems.diagnosis import FAILED, TRIED
 
     looked = "" if finding.verdict in (FAILED, TRIED) else ", diagnosis"
     said = f"After push {finding.pushes}{looked}: {finding.sentence} {did}"
-    return f"{said} The next pushes were chosen to tell {finding.telling}." if finding.telling else said
+    if not (finding.telling and asks):
+        return said
+    return f"{said} The next pushes were chosen to tell {finding.telling}."
 
 
 def _widening(last: Finding, judged: Sequence[Judged]) -> list[str]:

@@ -39,6 +39,15 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
     assert "with table_tilt, 3 pushes ended 4.0 mm off (median), 4 % of how" in third
 
 
+def test_pushes_towards_the_edge_are_not_said_to_be_chosen_to_find_out():
+    findings = [
+        Finding(pushes, "undecided", "Too little is seen.", (), "pushes on", "a from b") for pushes in (4, 5)
+    ]
+    first, second = repair_story(Repair(5, (), 6, tuple(findings)), watch((0.02, ()), (0.03, ())), 5)
+    assert first.endswith("made another push to find out. The next pushes were chosen to tell a from b.")
+    assert second.endswith("Too little is seen. The robot continued with the model it had.")
+
+
 def test_without_an_effect_no_fall_is_claimed():
     assert repair_story(Repair(5), watch((0.01, ()))) == [
         "The model was not repaired: no push gave cause for a diagnosis."

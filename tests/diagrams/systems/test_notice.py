@@ -87,6 +87,12 @@ def test_the_next_push_tells_models_apart():
     assert said.reason == "The next push tells table_tilt from tether."
 
 
+def test_on_the_way_to_the_edge_no_push_is_said_to_tell_models_apart():
+    repair = repaired("undecided", "pushes on", telling="table_tilt from tether")
+    said = words_of(LoopStatus("pushing", 7), watch(USUAL), repair, None)
+    assert (said.heading, said.reason) == ("Nothing to add to the model", "In a sentence.")
+
+
 def test_without_a_loop_only_surprises_and_findings_are_said():
     assert words_of(None, None, None, None) is None
     assert words_of(None, watch(USUAL), None, None) is None
