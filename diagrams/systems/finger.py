@@ -9,6 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.arm_motion import FingerKinematics, tip_force
+from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.table_push import TablePush
@@ -71,6 +72,10 @@ class FingerPath(PythonSystem):
         pause: between two pushes and before the first, s.
         rest: time for which the finger is down and at rest before and after it moves, s.
 
+    Raises:
+        ValueError: a pause that is negative or not finite, or too short for a `TrialLogger` to see that the
+            finger is up between two pushes.
+
     Example:
         >>> import slipmap
         >>> push = slipmap.TablePush([-0.06, 0.0], [0.04, 0.0], 0.05)
@@ -82,7 +87,15 @@ class FingerPath(PythonSystem):
         super().__init__()
         self._h = h
         paths = [push.path(h, rest=rest) for push in pushes]
+        if not (np.isfinite(pause) and pause >= 0):
+            raise ValueError(f"FingerPath: pause must not be negative, got {pause} s")
         steps = round(pause / h)
+        up = h * (steps + 1)  # a path's last point is a time step without a finger
+        if len(pushes) > 1 and up < PERIOD - 1e-9:
+            raise ValueError(
+                f"FingerPath: pause must be at least {PERIOD:g} s, the time between two rows of a"
+                f" `TrialLogger`, which would record two pushes as one; got {pause:g} s"
+            )
         begins = steps + np.cumsum([0, *(len(path) + steps for path in paths)])[:-1]
         self._made = list(zip(begins, pushes, paths, strict=True))
         self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0

@@ -22,7 +22,7 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 PERIOD = 0.01  # s between two rows of tip and force
 LOOKS = 6  # number of poses at rest that are averaged for the start of a trial, and again for its end
@@ -33,6 +33,8 @@ MISPLACED, TURNED = 4e-3, 0.05
 
 _MOVED = np.array([1e-3, 1e-3, 0.01])  # m, m, rad; two looks at an object at rest may differ by less
 _FELT = 0.5  # N; the arm may measure less without contact
+# m, and m/s in addition to the speed at its end: a finger that moves farther between two rows has jumped
+_JUMP, _USUAL_SPEED = 0.02, 0.5
 
 Row = tuple[float, ...]
 
@@ -179,12 +181,15 @@ class TrialLogger(PythonSystem):
     - `observed_pose`: the present `ObservedPose`, as `BeliefVisualizer`, `MultiverseSlider` and
       `ModelMonitor` take it.
 
-    A trial lasts from when the finger comes down until it is lifted. The finger should come down clear of the
-    object, and the object should be at rest at both times.
+    A trial lasts from when the finger comes down until it is lifted for at least a period. The finger should
+    come down clear of the object, and the object should be at rest at both times.
 
     Args:
         fit: number of trials to learn from; later ones are for judging. If None, all are to learn from.
         period: s between two rows.
+
+    Raises:
+        ValueError: in a simulation, if the finger jumps while it is down: two pushes would be one trial.
 
     Example:
         >>> import slipmap
@@ -195,7 +200,7 @@ class TrialLogger(PythonSystem):
 
     def __init__(self, fit: int | None = None, period: float = PERIOD) -> None:
         super().__init__()
-        self._fit = fit
+        self._fit, self._period = fit, period
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self.DeclareVectorInputPort("finger", 4)
         self.DeclareVectorInputPort("finger_force", 2)
@@ -209,8 +214,10 @@ class TrialLogger(PythonSystem):
         )
 
     def _record(self, context: Context, now: _Recording) -> _Recording:
-        time, center = context.get_time(), self.input(context, "finger")[:2]
+        time, finger = context.get_time(), self.input(context, "finger")
+        center = finger[:2]
         if np.isfinite(center).all():
+            self._refuse_jump(now, time, finger)
             now = replace(
                 now,
                 poses=(*now.poses, (time, *self._pose.Eval(context))),
@@ -223,6 +230,19 @@ class TrialLogger(PythonSystem):
             role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
             now = now.completed(role, now.poses)
         return now
+
+    def _refuse_jump(self, now: _Recording, time: float, finger: FloatArray) -> None:
+        """Raise ValueError if the finger cannot have come here from where it was a row before."""
+        if not now.tips:
+            return
+        before, *place = now.tips[-1]
+        moved, took = float(np.hypot(*(finger[:2] - place))), time - before
+        if moved > _JUMP + (2.0 * float(np.hypot(*finger[2:])) + _USUAL_SPEED) * took:
+            raise ValueError(
+                f"TrialLogger: the finger jumped by {1e3 * moved:.0f} mm before {time:.3f} s without being"
+                f" lifted; between two pushes, lift it (NaN) for at least {self._period:g} s, or give the"
+                " logger a shorter period"
+            )
 
 
 def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:

@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from driven_block import DrivenBlock
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
 from slipmap.diagrams.systems.finger import FingerPath
 from slipmap.diagrams.systems.identification import PERIOD, Identification
 from slipmap.diagrams.systems.measurement_logger import TrialLogger
+from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.table_push import TablePush
@@ -76,6 +80,53 @@ def test_the_finger_is_nowhere_between_pushes_and_moves_as_it_says() -> None:
     first = np.array(places)[down][: len(PUSH.path(H)) - 1]
     np.testing.assert_allclose(first[1:, :2], first[:-1, :2] + H * first[:-1, 2:], atol=1e-12)
     assert np.linalg.norm(first[:, 2:], axis=1).max() == pytest.approx(PUSH.speed)
+
+
+@pytest.mark.parametrize(
+    ("pause", "h", "words"),
+    [
+        (-1.0, 0.005, "pause must not be negative, got -1.0 s"),
+        (np.nan, 0.005, "pause must not be negative"),
+        (0.0, 0.005, "pause must be at least 0.01 s.*two pushes as one; got 0 s"),
+    ],
+)
+def test_a_pause_that_no_logger_would_notice_is_refused(pause: float, h: float, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        FingerPath([PUSH, PUSH], h, pause=pause)
+
+
+@pytest.mark.parametrize(("pause", "h"), [(0.01, 0.005), (0.005, 0.005), (0.0, 0.01), (0.008, 0.004)])
+def test_a_pause_as_short_as_may_be_separates_two_trials(pause: float, h: float) -> None:
+    trials = recorded(FingerPath([PUSH, PUSH], h, pause=pause), TrialLogger())
+    assert len(trials) == 2
+    for trial in trials:
+        ends = trial.tip_pose.values[[0, -1]]
+        assert ends == pytest.approx(np.array([PUSH.begin, PUSH.end]), abs=1e-9)
+
+
+def test_a_finger_that_jumps_is_told() -> None:
+    """As it does for a logger with few rows, if the finger is up only between two of them."""
+    finger = FingerPath([PUSH, TablePush([0.1, 0.0], [0.06, 0.0], 0.05)], 0.005, pause=0.01)
+    with pytest.raises(ValueError, match=r"finger jumped by 150 mm .* lift it \(NaN\) for at least 0.1 s"):
+        recorded(finger, TrialLogger(period=0.1))
+    fast = TablePush(PUSH.begin, [0.3, 0.0], 0.8)
+    for period in (0.01, 0.05, 0.2):
+        assert len(recorded(FingerPath([fast], 0.005), TrialLogger(period=period))) == 1
+
+
+def recorded(finger: FingerPath, logger: TrialLogger) -> tuple[Trial, ...]:
+    """The trials of an object that stays in place."""
+    builder = DiagramBuilder()
+    builder.AddSystem(finger), builder.AddSystem(logger)
+    pose = builder.AddSystem(ConstantVectorSource(np.zeros(3)))
+    builder.Connect(finger.GetOutputPort("finger"), logger.GetInputPort("finger"))
+    builder.Connect(pose.get_output_port(), logger.GetInputPort("object_pose"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(finger.end + 0.3)
+    trials: tuple[Trial, ...] = logger.GetOutputPort("trials").Eval(
+        logger.GetMyContextFromRoot(simulator.get_context())
+    )
+    return trials
 
 
 def test_pushes_after_those_to_learn_from_judge_and_force_is_optional() -> None:
