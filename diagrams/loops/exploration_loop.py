@@ -342,6 +342,12 @@ def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
     return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
+def latest_watch(loop: Diagram, root: Context) -> Watch:
+    """The monitor's judgement of all recorded pushes, see `ModelMonitor.latest`."""
+    monitor: ModelMonitor = loop.GetSubsystemByName("model_monitor")
+    return monitor.latest(monitor.GetMyContextFromRoot(root))
+
+
 def patience_for(scenario: Scenario, worker: Executor | None) -> float:
     """Time that the object may stay out of sight, s: at least twice the time of a first look's pictures."""
     return max(PATIENCE if worker is None else PATIENCE_REAL, 2.0 * FRAMES / scenario.camera.rate)

@@ -21,6 +21,7 @@ from slipmap.diagrams.loops.exploration_loop import (
     LoopOptions,
     RecordedRun,
     exploration_loop,
+    latest_watch,
     output_of,
     recorded_dataset,
 )
@@ -309,7 +310,7 @@ def explored(
     return ExplorationRun(
         dataset,
         identification,
-        output_of(loop, "model_monitor", "watch", ended.context),
+        latest_watch(loop, ended.context),
         station.true_object if isinstance(station, Station) else None,
         ended.X_SO,
         ended.simulated,

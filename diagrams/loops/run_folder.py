@@ -21,7 +21,13 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import Context, Diagram
 
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, output_of, recorded_dataset
+from slipmap.diagrams.loops.exploration_loop import (
+    LoopOptions,
+    RecordedRun,
+    latest_watch,
+    output_of,
+    recorded_dataset,
+)
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.model_monitor import Watch
@@ -267,12 +273,15 @@ class Recording:
     def look(self, root: Context) -> None:
         """Write whatever is new; call it often. Raises BadInput like `RunFolder.keep`."""
         trials = output_of(self._loop, "logger", "trials", root)
-        watch = output_of(self._loop, "model_monitor", "watch", root)
+        new = len(trials) > len(self._choices)
+        watch = (
+            output_of(self._loop, "model_monitor", "watch", root) if new else latest_watch(self._loop, root)
+        )
         adapts = self._loop.HasSubsystemNamed("diagnosis")
         repair = output_of(self._loop, "diagnosis", "repair", root) if adapts else None
         grid = output_of(self._loop, "perception", "cell_grid", root)
         found = (watch.judged, repair, grid)
-        if len(trials) > len(self._choices):
+        if new:
             plan = output_of(self._loop, "exploration", "plan", root)
             self._choices = (*self._choices, plan.choice)
             self._places = (*self._places, self._place(root))
@@ -286,6 +295,8 @@ class Recording:
             self._record.keep(
                 RecordedRun(trials, self._choices, self._places, grid, first, seen, watch, repair)
             )
+            if new:
+                self.look(root)  # adds its judgement, before anything learns from it
             return
         rows = output_of(self._loop, "logger", "under_way", root)
         measured = len(rows["tip_pose"])
@@ -424,7 +435,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         choices = tuple(_choice_of(push["poke"]) for push in pushes)
         digests = [push["digest"] for push in pushes]
         places = tuple(push["place"] for push in pushes)
-        watch = Watch.of_run(run["watch"]) if "watch" in run else None
+        watch = Watch.of_run(run["watch"]).up_to(len(dataset.trials)) if "watch" in run else None
         repair = Repair.of_run(run["repair"]) if "repair" in run else None
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error

@@ -98,6 +98,11 @@ class Watch:
         pushes = [asdict(push) for push in self.judged]
         return {"alarm": self.alarm, "evidence": self.evidence, "pushes": pushes}
 
+    def up_to(self, trials: int) -> Watch:
+        """What it was when so many trials had been recorded."""
+        judged = tuple(push for push in self.judged if push.trial < trials)
+        return replace(self, trials=min(self.trials, trials), judged=judged)
+
     def to_run(self) -> dict[str, Any]:
         """As plain data from which another process can continue."""
         return {"trials": self.trials, **self.to_json()}
@@ -180,6 +185,12 @@ class ModelMonitor(PythonSystem):
     def watch(self, context: Context) -> Watch:
         """The observations and judgements so far."""
         return read(context, self._watch)
+
+    def latest(self, context: Context) -> Watch:
+        """The watch that the next update will leave if a trial was recorded since the last one, else the
+        present one. So a trial can be stored together with its judgement, before anything learns from it."""
+        watch = self.watch(context)
+        return self._look(context, watch) if len(self.input(context, "trials")) > watch.trials else watch
 
     def _look(self, context: Context, watch: Watch) -> Watch:
         universes, seen = self.input(context, "universes"), self.input(context, "object_pose")

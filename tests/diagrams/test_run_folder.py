@@ -167,15 +167,18 @@ def test_a_run_that_ended_can_be_gone_on_with(whole, tmp_path):
 
 def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole, tmp_path, monkeypatch):
     record = recorded(tmp_path, whole, 1)
+    judged = Judged(1, 1.2, 0.3, 11.0, True, 0.01, 0.005, True, (), 0.08)
+    watch = Watch(2, np.full(3, np.nan), (judged,))
 
     def cut(*arguments):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(recording.PushRecorder, "keep", cut)
-        record.keep(part(whole, 2))
+        record.keep(replace(part(whole, 2), watch=watch))
     before = resumed(tmp_path)[2]
     assert len(before.trials) == len(before.choices) == len(before.places) == 1
+    assert (before.watch.trials, before.watch.judged) == (1, ())
 
 
 def killed_at(call, work):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydrake.systems.framework import Diagram
@@ -16,10 +17,13 @@ from test_command_line import ENVIRONMENT, hear_ctrl_c
 from slipmap.diagrams.loops import exploration_run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import ExplorationStopped, LoopEnd, explore
-from slipmap.diagrams.loops.run_folder import resumed
+from slipmap.diagrams.loops.run_folder import ExplorationFolder, resumed
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems import identification
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import read_dataset
 
 pytestmark = pytest.mark.usefixtures("renderer")
@@ -48,6 +52,33 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     assert json.loads(result.read_text(encoding="utf-8"))["failure"] == "stopped after 1 of 3 pushes."
     _, options, before = resumed(out)
     assert options.pushes == 3 and len(before.trials) == 1
+
+
+def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while the simulation waits for what is learned from the second push."""
+    cell, options = Scenario(), LoopOptions(pushes=2, cells=20, hypotheses=4)
+    cell.simulation.time_step, cell.camera.rate = 0.005, 5.0
+    whole = explore(cell, options)
+    calls = []
+
+    def stopped(*arguments: Any, **settings: Any) -> Learned:
+        calls.append(settings)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return identify(*arguments, **settings)
+
+    monkeypatch.setattr(identification, "identify", stopped)
+    with pytest.raises(ExplorationStopped) as told:
+        explore(cell, options, record=ExplorationFolder(tmp_path, cell, options))
+    assert [push.trial for push in whole.watch.judged] == [1]
+    assert told.value.run is not None and told.value.run.watch.judged == whole.watch.judged
+    scenario, options, before = resumed(tmp_path)
+    assert before.watch is not None
+    assert (before.watch.trials, before.watch.judged) == (2, whole.watch.judged)
+    again = explore(scenario, options, before=before)
+    assert again.watch.judged == whole.watch.judged
 
 
 def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatch) -> None:
