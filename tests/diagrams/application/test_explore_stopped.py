@@ -57,15 +57,16 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
 def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C while the simulation waits for what is learned from the second push."""
+    """Ctrl-C, or worse, while the simulation waits for what is learned from the second push."""
     cell, options = Scenario(), LoopOptions(pushes=2, cells=20, hypotheses=4)
     cell.simulation.time_step, cell.camera.rate = 0.005, 5.0
     whole = explore(cell, options)
-    calls = []
+    calls, kept = [], []
 
     def stopped(*arguments: Any, **settings: Any) -> Learned:
         calls.append(settings)
         if len(calls) == 2:
+            kept.append(resumed(tmp_path)[2].watch)
             raise KeyboardInterrupt
         return identify(*arguments, **settings)
 
@@ -75,8 +76,8 @@ def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(
     assert [push.trial for push in whole.watch.judged] == [1]
     assert told.value.run is not None and told.value.run.watch.judged == whole.watch.judged
     scenario, options, before = resumed(tmp_path)
-    assert before.watch is not None
-    assert (before.watch.trials, before.watch.judged) == (2, whole.watch.judged)
+    for watch in (*kept, before.watch):
+        assert watch is not None and (watch.trials, watch.judged) == (2, whole.watch.judged)
     again = explore(scenario, options, before=before)
     assert again.watch.judged == whole.watch.judged
 
