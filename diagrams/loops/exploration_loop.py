@@ -192,7 +192,7 @@ class ExplorationBlocks:
             (self.supervisor, "status", self.exploration),
             (command, "status", self.logger),
             (command, "active_push", (arm, "push"), (self.multiverse, "push")),
-            (self.logger, "trials", self.supervisor, self.identification, self.monitor),
+            (self.logger, "trials", self.supervisor, self.identification, self.multiverse, self.monitor),
             (self.logger, "missed", self.supervisor),
             (self.identification, "learned", self.supervisor),
             (self.identification, "belief", self.exploration, self.multiverse),

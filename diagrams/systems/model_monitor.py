@@ -122,7 +122,7 @@ class ModelMonitor(PythonSystem):
     """Compares the predicted pose with the observed one.
 
     Inputs:
-        universes: abstract, `Universes` of a `MultiverseSlider` driven by the same finger, or None.
+        universes: abstract, `Universes` of a `MultiverseSlider` with the same finger and trials, or None.
         object_pose: abstract, `ObservedPose`.
         trials: abstract, tuple of recorded `Trial`s, which start and end with the object at rest.
 
@@ -138,7 +138,8 @@ class ModelMonitor(PythonSystem):
 
     A push is judged when its recording is complete: by the pose at which the object came to rest (the arm may
     hide it on the way), and by the mean force of the finger if that was recorded and the push was not a tap.
-    Pushes that no belief predicted do not count. An angle that cannot be seen (`angle_held`) is not judged.
+    Pushes that no belief predicted do not count, nor does one whose hypotheses are gone because two others
+    have begun since (`Universes.of_trial`). An angle that cannot be seen (`angle_held`) is not judged.
 
     Args:
         sensors: noise of the recorded poses; position and angle are used.
@@ -197,10 +198,11 @@ class ModelMonitor(PythonSystem):
         trials = self.input(context, "trials")
         if universes is not None and seen is not None and seen.valid:
             watch = replace(watch, residual=seen.pose - universes.mean_pose)
-        if len(trials) > watch.trials:
-            watch = replace(watch, trials=len(trials))
-            if universes is not None:
-                judged = self._judged(len(trials) - 1, trials[-1], universes, watch)
+        for number in range(watch.trials, len(trials)):
+            watch = replace(watch, trials=number + 1)
+            pushed = None if universes is None else universes.of_trial(number)
+            if pushed is not None:
+                judged = self._judged(number, trials[number], pushed, watch)
                 watch = replace(watch, judged=(*watch.judged, judged))
         return watch
 

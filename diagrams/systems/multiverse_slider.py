@@ -1,5 +1,7 @@
 """`MultiverseSlider`: all hypotheses of a belief, pushed by one finger, stepped together."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +26,8 @@ class Universes:
     history: FloatArray  # (K, L, 3) true poses one, two, … steps ago, back to the tracker's largest latency
     push: int | None  # number of the push that set them in motion, or None
     begin: float  # time at which they were placed, s
-    order: float  # place of the push in the experiment, from 0
+    order: int  # place of the push among all recorded ones, from 0, as `identify` counts them
+    before: Universes | None = None  # those of the push before, as this one found them
 
     @property
     def poses(self) -> FloatArray:
@@ -46,6 +49,11 @@ class Universes:
         """Probability-weighted mean ADD of the hypotheses from their mean, m."""
         return float(self.belief.probability @ add(self.poses, self.mean_pose, self.belief.grid.centers))
 
+    def of_trial(self, number: int) -> Universes | None:
+        """The hypotheses that were pushed in a trial, by its number from 0; None if they are gone."""
+        rows = (self, self.before)
+        return next((row for row in rows if row is not None and row.order == number), None)
+
 
 def placed(
     belief: Belief,
@@ -54,7 +62,8 @@ def placed(
     *,
     push: int | None = None,
     begin: float = 0.0,
-    order: float = 0.0,
+    order: int = 0,
+    before: Universes | None = None,
 ) -> Universes:
     """All hypotheses at rest where the tracker reports `pose` (3,), in steps of h (s)."""
     stepper = Stepper(
@@ -63,18 +72,22 @@ def placed(
     models = stepper.models(belief.maps)
     states = stepper.start(models, pose)
     history = np.repeat(states[:, None, :3], history_length(stepper), axis=1)
-    return Universes(belief, stepper, models, states, history, push, begin, order)
+    before = None if before is None else replace(before, before=None)
+    return Universes(belief, stepper, models, states, history, push, begin, order, before)
 
 
 class MultiverseSlider(PythonSystem):
     """K hypotheses of a belief under one finger, in steps of h, with one kernel call per step.
 
-    Inputs, all optional:
+    Inputs, all optional except that `push` requires `trials`:
         wrench: (5,), and
         finger: (4,), as for `CellGridSlider`.
         belief: abstract, `Belief` or None.
         object_pose: abstract, `ObservedPose`.
         push: abstract, None or something with a `push_id`, such as an `ActivePush`.
+        trials: abstract, tuple of the `Trial`s recorded so far. Their number is the place of the present push
+            in the experiment, on which effects such as `friction_drift` depend, and by which a `ModelMonitor`
+            knows which trial these hypotheses predict.
 
     When the number of `push` changes, all hypotheses of the `belief` are placed at rest at the object's
     observed pose; they then evolve separately until the next push.
@@ -95,7 +108,7 @@ class MultiverseSlider(PythonSystem):
         self._h = h
         self.DeclareVectorInputPort("wrench", 5)
         self.DeclareVectorInputPort("finger", 4)
-        self.declare_inputs("belief", "object_pose", "push")
+        self.declare_inputs("belief", "object_pose", "push", "trials")
         self._universes = self.DeclareAbstractState(held(None))
         after = {self.abstract_state_ticket(self._universes)}
         self.declare_output_of(
@@ -108,7 +121,8 @@ class MultiverseSlider(PythonSystem):
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
         """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,)."""
-        universes = placed(belief, self._h, pose, begin=context.get_time())
+        order = len(self.optional_input(context, "trials") or ())
+        universes = placed(belief, self._h, pose, begin=context.get_time(), order=order)
         replace_held(context.get_mutable_state(), self._universes, universes)
 
     def universes(self, context: Context) -> Universes | None:
@@ -146,8 +160,12 @@ class MultiverseSlider(PythonSystem):
         seen = self.optional_input(context, "object_pose")  # last, because it may have to wait for a picture
         if seen is None or not seen.valid:
             return None
-        order = 0.0 if before is None or before.push is None else before.order + 1.0
-        return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
+        # Candidates that were refused or touched nothing left no trial, so they do not count.
+        order = len(self.input(context, "trials"))
+        return placed(
+            belief, self._h, seen.pose,
+            push=push.push_id, begin=context.get_time(), order=order, before=before,
+        )  # fmt: skip
 
     def _mean_pose(self, context: Context) -> FloatArray:
         universes = self.universes(context)

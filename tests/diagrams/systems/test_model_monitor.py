@@ -64,6 +64,7 @@ def pushes_seen(effect: str, values: tuple[float, ...], count: int, seed: int) -
 
 
 PLAYED: list[Told] = []
+BEGUN = {"pushes": 0}
 
 
 def look(time: float) -> tuple[int, int]:
@@ -73,7 +74,15 @@ def look(time: float) -> tuple[int, int]:
 
 
 def universes_at(time: float) -> Any:
-    return PLAYED[look(time)[0]].universes
+    """As a `MultiverseSlider` counts them; `BEGUN` pushes follow as soon as one is recorded."""
+    push, row = look(time)
+    now = PLAYED[push].universes
+    if now is None:
+        return None
+    now = replace(now, order=push)
+    for more in range(1, 1 + BEGUN["pushes"] * (row >= LASTS - 2)):
+        now = placed(now.belief, H, PLAYED[push].end, order=push + more, before=now)
+    return now
 
 
 def records_at(time: float) -> tuple[Trial, ...]:
@@ -147,6 +156,23 @@ def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
     released = alarms.index(False, first)
     assert all(row.evidence > 1.0 for row in rows[first:released])
     assert rows[released].evidence <= 1.0
+
+
+def test_a_push_is_judged_by_its_own_hypotheses_though_the_next_has_begun(
+    diagram: Diagram, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = pushes_seen("", (), 3, 7)
+    expected = watched(diagram, told)[-1].pushes
+    monkeypatch.setitem(BEGUN, "pushes", 1)
+    assert watched(diagram, told)[-1].pushes == expected
+    assert all(push.error > 1e-5 for push in expected)
+
+
+def test_a_push_whose_hypotheses_are_gone_is_not_judged(
+    diagram: Diagram, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BEGUN, "pushes", 2)
+    assert watched(diagram, pushes_seen("", (), 3, 7))[-1].pushes == ()
 
 
 def test_an_angle_that_was_held_is_not_judged(diagram: Diagram) -> None:

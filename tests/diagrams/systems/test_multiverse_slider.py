@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from driven_block import DrivenBlock
 from moving_blocks import H, Player, block_belief, seen, table_pushes
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -69,16 +70,18 @@ def diagram() -> Diagram:
                 "belief": lambda time: BELIEFS[CHOSEN[0]],
                 "object_pose": lambda time: seen(starts[7 if time < lasts(FIRST) else 8]),
                 "push": push_at,
+                "trials": lambda time: RECORDED[: 2 if time < lasts(FIRST) else 3],
             },
         )
     )
     multiverse = builder.AddSystem(MultiverseSlider(H))
-    for port in ("finger", "belief", "object_pose", "push"):
+    for port in ("finger", "belief", "object_pose", "push", "trials"):
         builder.Connect(player.GetOutputPort(port), multiverse.GetInputPort(port))
     return builder.Build()
 
 
 CHOSEN = ["plain"]
+RECORDED = (None,) * 3  # the first push is the third of the experiment
 
 
 def run(diagram: Diagram, until: float) -> tuple[Any, Any]:
@@ -119,7 +122,45 @@ def test_a_new_push_starts_where_the_object_is_seen(diagram: Diagram) -> None:
     system, context = run(diagram, lasts(FIRST) + PAUSE + lasts(SECOND))
     alone = belief.slider.rollout(belief.maps, [replace(SECOND, pose_times=None)]).poses[:, -1]
     assert np.abs(system.GetOutputPort("poses").Eval(context) - alone).max() < 1e-10
-    assert system.universes(context).order == 1.0
+
+
+def test_a_push_counts_among_the_recorded_ones_and_the_one_before_is_kept(diagram: Diagram) -> None:
+    CHOSEN[0] = "plain"
+    system, context = run(diagram, lasts(FIRST) + PAUSE)
+    first = system.universes(context)
+    assert (first.order, first.before) == (2, None)
+    system, context = run(diagram, lasts(FIRST) + PAUSE + lasts(SECOND))
+    second = system.universes(context)
+    assert second.order == 3 and second.of_trial(3) is second and second.of_trial(1) is None
+    np.testing.assert_array_equal(second.of_trial(2).poses, first.poses)
+
+
+@pytest.mark.parametrize(
+    ("pushes", "orders"),
+    [
+        # the recorded pushes so far and the number of the present candidate, in turn
+        ([(0, 0), (1, 20), (2, 40)], [None, 1, 2]),  # no belief at first
+        ([(1, 20), (1, 21), (1, 22), (2, 40)], [1, 1, 1, 2]),  # refused, or touched nothing
+        ([(4, 80), (5, 100)], [4, 5]),  # continues an earlier run
+    ],
+)
+def test_the_order_is_that_of_identify(pushes: list[tuple[int, int]], orders: list[int | None]) -> None:
+    block = DrivenBlock(MultiverseSlider(H), object_pose=seen(np.zeros(3)))
+    got = []
+    for count, number in pushes:
+        belief = block_belief() if count else None
+        block.set(push=SimpleNamespace(push_id=number), trials=(None,) * count, belief=belief)
+        block.advance(2 * H)
+        universes = block.read("universes")
+        got.append(None if universes is None else universes.order)
+    assert got == orders
+
+
+def test_pushes_need_the_trials_to_count_among() -> None:
+    push = SimpleNamespace(push_id=0)
+    block = DrivenBlock(MultiverseSlider(H), object_pose=seen(np.zeros(3)), push=push, belief=block_belief())
+    with pytest.raises(RuntimeError, match=r"trials.* is not connected"):
+        block.advance(2 * H)
 
 
 def test_without_a_belief_there_is_no_prediction() -> None:
