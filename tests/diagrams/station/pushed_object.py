@@ -100,7 +100,7 @@ class TestBed:
         port.FixValue(self.context, np.concatenate([position, velocity]))
 
     def _add_finger(self) -> None:
-        plant, length = self.plant, 0.1
+        plant, length = self.plant, 1e-3  # along a long one the point of contact would jump
         self.finger = plant.AddModelInstance("finger")
         inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
         carriage = plant.AddRigidBody("carriage", self.finger, inertia)
