@@ -16,7 +16,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlan
 from pydrake.systems.framework import Context, DiagramBuilder, State
 from pydrake.systems.sensors import ImageDepth32F
 
-from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, connect_motion
+from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, connect_motion, spatial_inertia
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -24,6 +24,8 @@ from slipmap.models.physics.cell_grid import FloatArray
 _TOUCH = 2e-3  # m; cells farther from the table's height do not slide on it
 _LATEST = 0.3  # s
 _SLOWEST = 1e-3  # m/s; the extra friction fades out below about this slip
+_SLOW_PUSH = 0.04  # m/s; an object moved as slowly must not be stopped within a time step
+_FAR = 0.5  # m, distance from the table's centre up to which a gradient's rise is examined
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the two axes after each
 
 
@@ -164,12 +166,14 @@ class HiddenEffects(PythonSystem):
 
     In Drake, a cell has the same coefficient everywhere. The friction field therefore acts as the difference,
     (factor - 1) μ m g for each cell on the table, against (or along) the cell's slip. A force that is
-    constant over a time step cannot stick, so it fades out below a slip of 1 mm/s, or below the speed that
-    one step of extra friction takes from a free cell, whichever is larger. During a push only cells next to
+    constant over a time step cannot stick, so it fades out below a slip of 1 mm/s, and where friction is
+    reduced, below the speed that one step of the difference gives to a free cell. Additional friction takes
+    at most as much energy from the object as its impulse over a step can. During a push only cells next to
     the centre of rotation are that slow; but an object at rest is held by its friction without the field.
 
     Raises:
-        ValueError: an invalid parameter, or an effect too stiff to be simulated with the plant's time step.
+        ValueError: an invalid parameter, or an effect too stiff or too strong to be simulated with the
+            plant's time step.
     """
 
     def __init__(self, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig) -> None:
@@ -182,8 +186,11 @@ class HiddenEffects(PythonSystem):
         self._width = grid.width
         gravity = -float(plant.gravity_field().gravity_vector()[2])
         self._load = true_object.mass * true_object.mu * gravity
-        self._step_of_speed = true_object.mu * gravity * plant.time_step()
+        self._step = plant.time_step()
+        self._step_of_speed = true_object.mu * gravity * self._step
         self._mass = true_object.total_mass
+        inertia = spatial_inertia(true_object)
+        self._spin_inertia = inertia.Shift(inertia.get_com()).CalcRotationalInertia().get_moments()[2]
         self._p_OC = true_object.center_of_mass
         tilted, level = (tilted_gravity(tilt, gravity) for tilt in (config.table_tilt, TableTilt()))
         self._downhill = self._mass * (tilted - level)
@@ -191,7 +198,9 @@ class HiddenEffects(PythonSystem):
         self._slows = any(
             (config.viscous_friction.drag_per_area, field.gradient_x, field.gradient_y, field.patch)
         )
-        self._refuse_stiff(plant.time_step())
+        self._refuse_stiff(self._step)
+        if any((field.gradient_x, field.gradient_y, field.patch)):
+            self._refuse_sticky(field)
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self._velocities = self.DeclareAbstractInputPort(
             "body_spatial_velocities", Value[List[SpatialVelocity]]()
@@ -217,6 +226,24 @@ class HiddenEffects(PythonSystem):
                 f"{step:g} s; at most {self._mass / step**2:.3g} N/m"
             )
 
+    def _refuse_sticky(self, field: TableFrictionField) -> None:
+        # A force that is constant over a step can at most stop the object within it.
+        uphill = np.array([field.gradient_x, field.gradient_y])
+        far = _FAR / max(float(np.hypot(*uphill)), 1e-9) * uphill
+        places = np.array([far, [field.patch_x, field.patch_y] if field.patch > 0 else far])
+        cells = self._base[:, :2] - self._p_OC[:2] + places[:, None]
+        with np.errstate(over="ignore"):
+            factors = np.minimum(field.factor(cells.reshape(-1, 2)), 1e9).reshape(len(places), -1)
+        braked = (np.maximum(factors - 1, 0) @ self._load) * self._step / self._mass
+        if (worst := float(braked.max())) > _SLOW_PUSH:
+            highest = float(factors[braked.argmax()].max())
+            raise ValueError(
+                f"TableFrictionField: friction of up to {highest:.3g} times the object's own is too strong"
+                f" for a time step of {self._step:g} s: in one step it would take {worst:.3g} m/s from the"
+                f" object, but slow pushes have {_SLOW_PUSH:g} m/s; at most"
+                f" {1 + (highest - 1) * _SLOW_PUSH / worst:.3g} times, or a smaller time step"
+            )
+
     def _calc_forces(self, context: Context, output: AbstractValue) -> None:
         X_WO: RigidTransform = self._poses.Eval(context)[self._index]
         V_WO: SpatialVelocity = self._velocities.Eval(context)[self._index]
@@ -240,7 +267,9 @@ class HiddenEffects(PythonSystem):
             velocities[:, 2] = 0.0
             touching = np.abs(p_WO[2] + arms[:, 2]) < _TOUCH
             drag = self._config.viscous_friction.drag_per_area * self._width**2 * touching
-            slowing = -drag[:, None] * velocities + self._extra_friction(p_WO + arms, velocities, touching)
+            friction = self._extra_friction(p_WO + arms, velocities, touching)
+            friction *= self._share(friction, arms - R @ self._p_OC, velocities)
+            slowing = friction - drag[:, None] * velocities
             force = force + slowing.sum(axis=0)
             torque = torque + _cross(arms, slowing).sum(axis=0)
             # A square's own second moment, w²/6 of its area.
@@ -250,9 +279,27 @@ class HiddenEffects(PythonSystem):
     def _extra_friction(self, p_WC: FloatArray, v_WC: FloatArray, touching: FloatArray) -> FloatArray:
         """(n, 3) force that the friction field adds to the friction of each cell, world, N."""
         excess = (self._config.table_friction_field.factor(p_WC[:, :2]) - 1) * touching
-        slowest = np.maximum(_SLOWEST, np.abs(excess) * self._step_of_speed)
+        slowest = np.maximum(_SLOWEST, -excess * self._step_of_speed)
         speed = np.sqrt((v_WC**2).sum(axis=1) + slowest**2)
         return -(excess * self._load / speed)[:, None] * v_WC
+
+    def _share(self, forces: FloatArray, arms: FloatArray, velocities: FloatArray) -> float:
+        """Largest share, up to 1, of planar forces (n, 3) that brake the object throughout a time step.
+
+        At this share their impulse leaves the object with the least energy; more of it would drive it back.
+
+        Args:
+            forces: on the cells, world, N.
+            arms: (n, 3) the cells from the centre of mass, world, m.
+            velocities: (n, 3) of the cells, world, m/s.
+        """
+        power = float((forces * velocities).sum())
+        if power >= 0:
+            return 1.0
+        total = forces.sum(axis=0)
+        spin = float(arms[:, 0] @ forces[:, 1] - arms[:, 1] @ forces[:, 0])
+        taken = float(total @ total) / self._mass + spin**2 / self._spin_inertia
+        return min(1.0, -power / max(self._step * taken, 1e-300))
 
 
 def _cross(one: FloatArray, other: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from slipmap.diagrams.station.hidden_effects import (
     add_hidden_effects,
     tilted_gravity,
 )
-from slipmap.diagrams.station.sliding_object import add_sliding_object
+from slipmap.diagrams.station.sliding_object import add_sliding_object, spatial_inertia
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
@@ -57,8 +57,8 @@ def _with(name: str, effect: object) -> HiddenEffectsConfig:
     return HiddenEffectsConfig(**{name: effect})
 
 
-def _system(thing: TrueObject, config: HiddenEffectsConfig) -> HiddenEffects:
-    plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
+def _system(thing: TrueObject, config: HiddenEffectsConfig, step: float = 1e-3) -> HiddenEffects:
+    plant, scene_graph = MultibodyPlant(step), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     add_sliding_object(plant, thing, 0.6)
     plant.Finalize()
@@ -186,6 +186,61 @@ def test_patch_makes_up_for_the_missing_friction(box: TrueObject) -> None:
     assert force[0] == pytest.approx(0.5 * friction, rel=2e-3)
     outside, _ = system.wrench(RigidTransform([1.5, 0, 0]), SpatialVelocity([0, 0, 0], [0.5, 0, 0]))
     np.testing.assert_array_equal(outside, 0.0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 5.0])
+def test_slow_pushes_feel_all_of_a_patchs_friction(box: TrueObject, factor: float) -> None:
+    field = TableFrictionField(patch=np.log(factor), patch_radius=1.0)
+    system = _system(box, _with("table_friction_field", field), step=2.5e-3)
+    force, _ = system.wrench(RigidTransform(), SpatialVelocity([0, 0, 0], [0.0, -0.04, 0.0]))
+    friction = float(box.mass @ box.mu) * 9.81
+    assert force[1] + friction == pytest.approx(factor * friction, rel=0.02)
+
+
+def test_a_slow_push_turns_an_object_alike_whatever_the_uniform_friction(box: TrueObject) -> None:
+    sticky = _with("table_friction_field", TableFrictionField(patch=1.5, patch_radius=5.0))
+    low = box.grid.polygon.bounds[1] - 0.01
+    tip = np.column_stack([np.zeros(151), low + np.arange(151) * 4e-4])
+    turned = []
+    for hidden in (None, sticky):
+        bed = TestBed(box, finger=True, hidden=hidden)
+        bed.start(np.zeros(3), tip[0])
+        turned.append(bed.follow(tip, 0.01)[-1, 2])
+    assert turned[0] > np.radians(10.0)
+    assert turned[1] == pytest.approx(turned[0], abs=np.radians(1.2))
+
+
+def test_friction_of_a_patch_never_drives_an_object_back(box: TrueObject) -> None:
+    field = TableFrictionField(patch=1.5, patch_x=0.03, patch_radius=0.05)
+    system = _system(box, _with("table_friction_field", field), step=2.5e-3)
+    inertia = spatial_inertia(box)
+    matrix = inertia.CopyToFullMatrix6()[np.ix_([2, 3, 4], [2, 3, 4])]
+    rng = np.random.default_rng(0)
+    for size in (1e-5, 1e-3, 1e-2, 0.1):
+        motion = size * rng.standard_normal(3) * [10.0, 1.0, 1.0]
+        force, torque = system.wrench(
+            RigidTransform(), SpatialVelocity([0, 0, motion[0]], [motion[1], motion[2], 0])
+        )
+        after = motion + 2.5e-3 * np.linalg.solve(matrix, [torque[2], force[0], force[1]])
+        assert after @ matrix @ after < motion @ matrix @ motion
+        assert after @ [torque[2], force[0], force[1]] < 1e-9  # it still brakes at the end of the step
+
+
+def test_friction_field_too_strong_for_the_time_step_is_refused_with_what_would_do(box: TrueObject) -> None:
+    def built(step: float, **field: float) -> HiddenEffects:
+        effect = TableFrictionField(patch_radius=1.0)
+        return _system(box, _with("table_friction_field", replace(effect, **field)), step)
+
+    with pytest.raises(ValueError, match=r"2\.2e\+04 times .* 0\.04 m/s; at most 5\.\d+ times, or a smaller"):
+        built(2.5e-3, patch=10.0)
+    with pytest.raises(ValueError, match="too strong"):
+        built(2.5e-3, patch=800.0)
+    with pytest.raises(ValueError, match="too strong"):
+        built(5e-3, gradient_x=-8.0)
+    built(2.5e-3, gradient_x=-8.0)
+    built(2.5e-3, patch=-700.0)
+    built(5e-3, patch=1.0)
+    built(1e-3, patch=2.2)
 
 
 def test_friction_factor_by_place() -> None:
