@@ -45,6 +45,19 @@ LARGEST = 2**16  # largest size of a scenario file, bytes; one with every settin
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
 
+# What each kind of object uses of its settings besides the pose, by the field that tells the kind.
+_FROM_A_FILE = ("mu_finger", "cells")
+_USED = {
+    "name": ("name",),
+    "mesh": ("mesh", "mass", "mu", "metres_per_unit", "up", *_FROM_A_FILE),
+    "labels": ("labels", "background", "metres_per_pixel", "masses", "frictions", "height", *_FROM_A_FILE),
+}
+_KINDS = {
+    "name": "a benchmark object",
+    "mesh": "an object from a mesh",
+    "labels": "an object from a label image",
+}
+
 T = typing.TypeVar("T")
 
 
@@ -56,7 +69,7 @@ class ScenarioError(BadInput, ValueError):
 class ObjectSettings:
     """The object on the table: one of the benchmark, or your own from a mesh or a label image."""
 
-    name: str = "hammer"  # of a benchmark object; ignored if `mesh` or `labels` is given
+    name: str = "hammer"  # of a benchmark object, which needs nothing else but a pose
     mesh: str | None = None  # file that trimesh can load; needs `mass` and `mu`
     # image whose pixel values label segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`
     labels: str | None = None
@@ -100,6 +113,20 @@ class ObjectSettings:
         for name in (*self.masses, *self.frictions):
             if not (name.isascii() and name.isdigit() and len(name) <= _LONGEST_LABEL):
                 raise ValueError(f"object: keys of masses and frictions must be integer labels, got {name!r}")
+        self._refuse_unused()
+
+    def _refuse_unused(self) -> None:
+        kind = "mesh" if self.mesh is not None else "labels" if self.labels is not None else "name"
+        plain = ObjectSettings()
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if item.name in (*_USED[kind], "pose") or value == getattr(plain, item.name):
+                continue
+            users = " or ".join(_KINDS[other] for other, used in _USED.items() if item.name in used)
+            raise ValueError(
+                f"object.{item.name} has no effect on {self.called}, which is {_KINDS[kind]}; only {users}"
+                " uses it: remove it"
+            )
 
     @property
     def called(self) -> str:
@@ -151,6 +178,14 @@ class TableSettings:
         lengths = np.array([self.radius, *self.size])
         if len(self.size) != 2 or not (np.isfinite(lengths) & (lengths > 0)).all():
             raise ValueError(f"table: radius and size must be positive, got {self.radius} and {self.size}")
+        unused, used = ("size", "radius") if self.shape == "round" else ("radius", "size")
+        value = getattr(self, unused)
+        if value != getattr(TableSettings(), unused):
+            other = "rectangle" if self.shape == "round" else "round"
+            raise ValueError(
+                f"table.{unused} is {value}, but table.shape is {self.shape}, which takes {used}; write"
+                f" shape: {other}, or {used}"
+            )
         if not self.friction > 0:
             raise ValueError(f"table.friction must be positive, got {self.friction}")
 
@@ -251,8 +286,7 @@ def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
     """
     scenario = read_settings(path, Scenario)
     if object_name is not None:
-        scenario.object.name = object_name
-        scenario.object.mesh = scenario.object.labels = None
+        scenario.object = ObjectSettings(name=object_name, pose=scenario.object.pose)
     for key in ("mesh", "labels"):
         name = getattr(scenario.object, key)
         if name is not None:

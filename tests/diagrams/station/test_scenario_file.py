@@ -13,7 +13,13 @@ from pydrake.common.yaml import yaml_dump_typed
 
 from slipmap.diagrams.loops.exploration_loop import recorded_dataset
 from slipmap.diagrams.station.placement import check_placement, check_rest
-from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario, read_settings
+from slipmap.diagrams.station.scenario import (
+    ObjectSettings,
+    Scenario,
+    ScenarioError,
+    read_scenario,
+    read_settings,
+)
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel
 from slipmap.models.objects import cells_from_polygon
@@ -78,19 +84,81 @@ def test_the_defaults_survive_a_round_trip(read):
 TOGETHER = ("object.mesh", "object.mass", "object.mu", "object.metres_per_unit", "object.up")
 """Fields of an object from a mesh, which need one another."""
 
+NEEDS = {
+    **{
+        ("object", name): "labels"
+        for name in ("background", "metres_per_pixel", "masses", "frictions", "height")
+    },
+    ("object", "mu_finger"): "labels",
+    ("object", "cells"): "labels",
+    ("table", "size"): "shape",
+}
+"""Fields that need another one of their section, here as in `CHOICES`."""
+
 ALONE = {path: value for path, value in DEFAULTS.items() if ".".join(path) not in TOGETHER}
 
 
 @pytest.mark.parametrize(("path", "value"), ALONE.items(), ids=map(".".join, ALONE))
 def test_every_field_can_be_set_alone(read, path, value):
-    wanted = another(".".join(path), value)
-    content: Any = wanted
-    for name in reversed(path):
-        content = {name: content}
+    wanted = {path: another(".".join(path), value)}
+    if path in NEEDS:
+        needed = (*path[:-1], NEEDS[path])
+        wanted[needed] = CHOICES[".".join(needed)]
+    content: Any = {}
+    for where, setting in wanted.items():
+        section = content
+        for name in where[:-1]:
+            section = section.setdefault(name, {})
+        section[where[-1]] = setting
     settings = read(yaml.safe_dump(content))
-    changed = [where for where, now in leaves(settings) if now != DEFAULTS[where]]
-    assert changed == [path]
-    assert dict(leaves(settings))[path] == wanted
+    assert {where: now for where, now in leaves(settings) if now != DEFAULTS[where]} == wanted
+
+
+A_MESH, AN_IMAGE = "mesh: a.obj, mass: 1.0, mu: 0.3", "labels: b.png"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("table: {size: [0.6, 0.4]}", ["table.size is [0.6, 0.4]", "shape is round", "shape: rectangle"]),
+        (
+            "table: {shape: rectangle, radius: 0.3}",
+            ["table.radius is 0.3", "shape is rectangle", "shape: round"],
+        ),
+        ("object: {name: box, mu_finger: 0.9}", ["object.mu_finger", "box, which is a benchmark object"]),
+        (
+            "object: {name: box, cells: 500}",
+            ["object.cells", "a mesh or an object from a label image uses it"],
+        ),
+        ("object: {height: 0.1}", ["object.height", "hammer", "only an object from a label image uses it"]),
+        ("object: {masses: {'1': 3.0}}", ["object.masses", "hammer, which is a benchmark object"]),
+        ("object: {frictions: {'1': 0.5}}", ["object.frictions"]),
+        ("object: {background: 255}", ["object.background"]),
+        ("object: {metres_per_pixel: 0.002}", ["object.metres_per_pixel"]),
+        (
+            f"object: {{{A_MESH}, masses: {{'1': 3.0}}}}",
+            ["object.masses", "a, which is an object from a mesh"],
+        ),
+        (f"object: {{{A_MESH}, name: banana}}", ["object.name", "only a benchmark object uses it"]),
+        (
+            f"object: {{{AN_IMAGE}, name: wrench}}",
+            ["object.name", "b, which is an object from a label image"],
+        ),
+    ],
+)
+def test_a_field_without_effect_is_refused(read, text, named):
+    message = refusal(read, text)
+    for name in named:
+        assert name in message
+
+
+def test_another_object_takes_nothing_but_the_pose_from_the_file(tmp_path):
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"object: {{{A_MESH}, cells: 90, pose: [0.1, 0.0, 20.0]}}")
+    scenario = read_scenario(path, "wrench")
+    assert scenario.object == ObjectSettings(name="wrench", pose=[0.1, 0.0, 20.0])
+    path.write_text(yaml_dump_typed(scenario))
+    assert read_scenario(path) == scenario
 
 
 def test_an_object_from_a_mesh_is_set_as_a_whole(read):

@@ -26,11 +26,20 @@ PAGES = [
 ]
 
 OF_A_MESH = {"mesh": "shoe.obj", "mass": 0.8, "mu": 0.3}
+OF_LABELS = {"labels": "shoe.png"}
 BESIDE: dict[str, dict[str, Any]] = {
     "object.mass": OF_A_MESH,
     "object.mu": OF_A_MESH,
     "object.metres_per_unit": OF_A_MESH,
     "object.up": OF_A_MESH,
+    "object.background": OF_LABELS,
+    "object.metres_per_pixel": OF_LABELS,
+    "object.masses": OF_LABELS,
+    "object.frictions": OF_LABELS,
+    "object.height": OF_LABELS,
+    "object.mu_finger": OF_LABELS,
+    "object.cells": OF_LABELS,
+    "table.size": {"shape": "rectangle"},
     "execution.tip_height": {"safe_height": 0.3},
     "execution.safe_height": {"tip_height": 0.001},
     "pokes.shortest": {"longest": 10 - 1e-12},
@@ -113,6 +122,23 @@ def test_what_is_described_is_what_is_read(section, tmp_path):
         for value in probes(default, DESCRIBED[path]):
             document = content(path, value)
             assert check.is_valid(document) == is_read(document, tmp_path), f"{path}: {value!r}"
+
+
+@pytest.mark.parametrize("shape", ["round", "rectangle"])
+@pytest.mark.parametrize("kind", [{}, OF_A_MESH, OF_LABELS], ids=["benchmark", "mesh", "labels"])
+def test_what_an_object_and_a_table_do_not_use_is_described(kind, shape, tmp_path):
+    values = {
+        "object": {
+            "name": "wrench", "mass": 0.5, "mu": 0.5, "metres_per_unit": 0.5, "up": "y", "background": 1,
+            "metres_per_pixel": 0.5, "masses": {"1": 0.5}, "frictions": {"1": 0.5}, "height": 0.5,
+            "mu_finger": 0.5, "cells": 50, "pose": [0.1, 0.1, 10.0],
+        },
+        "table": {"radius": 0.4, "size": [0.5, 0.5], "friction": 0.5},
+    }  # fmt: skip
+    for section, beside in (("object", kind), ("table", {"shape": shape})):
+        for name, value in values[section].items():
+            document = {section: {**beside, name: value}}
+            assert validator("scenario").is_valid(document) == is_read(document, tmp_path), document
 
 
 def test_the_defaults_are_as_described():
