@@ -258,7 +258,7 @@ class HiddenEffects(PythonSystem):
         """Force (3,) and torque (3,) about the object frame's origin, world, N and N m."""
         R, p_WO, tether = X_WO.rotation().matrix(), X_WO.translation(), self._config.tether
         tied = R @ [tether.point_x, tether.point_y, 0.0]
-        forces = np.array([self._downhill, _pull(tether, p_WO + tied)])
+        forces = np.array([self._downhill, tether_pull(tether, p_WO + tied)])
         force = forces.sum(axis=0)
         torque = _cross(np.array([R @ self._p_OC, tied]), forces).sum(axis=0)
         if self._slows:
@@ -307,7 +307,7 @@ def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
     return one.take(_NEXT, -1) * other.take(_LAST, -1) - one.take(_LAST, -1) * other.take(_NEXT, -1)
 
 
-def _pull(tether: Tether, p_WP: FloatArray) -> FloatArray:
+def tether_pull(tether: Tether, p_WP: FloatArray) -> FloatArray:
     """(3,) force on the object's end of the cable, world, N."""
     way = np.array([tether.anchor_x, tether.anchor_y, p_WP[2]]) - p_WP
     length = float(np.linalg.norm(way))

@@ -14,12 +14,15 @@ from slipmap.diagrams.perception.camera import NEAREST
 from slipmap.diagrams.perception.cell_perception import FRAMES
 from slipmap.diagrams.perception.sight import ArmHulls, view_from
 from slipmap.diagrams.station.arm import HOME, lone_arm
-from slipmap.diagrams.station.sliding_object import own_frictions
+from slipmap.diagrams.station.hidden_effects import tether_pull, tilted_gravity
+from slipmap.diagrams.station.sliding_object import FOUR, own_frictions
+from slipmap.models.geometry import turn
 from slipmap.models.objects.meshes import DOUBTFUL_EXTENT
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import ARM_NEAR
 from slipmap.models.perception.object_mask import LEAST_AREA, LEAST_HEIGHT, draw_hulls
 from slipmap.models.perception.pinhole_camera import LEAST_SHARE, NARROWEST, View, pixel_size
+from slipmap.models.physics.cell_grid import FloatArray
 
 if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
@@ -49,8 +52,8 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
 
 
 def check_rest(scenario: "Scenario", thing: TrueObject) -> None:
-    """Refuse an object that slides off a tilted table by itself, by a ValueError with the numbers."""
-    tilt = scenario.hidden.table_tilt
+    """Refuse an object that a tilted table or a tether moves by itself, by a ValueError with the numbers."""
+    tilt, tether = scenario.hidden.table_tilt, scenario.hidden.tether
     slope = float(np.hypot(np.tan(tilt.down_x), np.tan(tilt.down_y)))
     friction = float(thing.mass @ thing.mu) / thing.total_mass
     if slope >= friction:
@@ -59,6 +62,57 @@ def check_rest(scenario: "Scenario", thing: TrueObject) -> None:
             f" {np.degrees(np.arctan(slope)):.1f}°, but friction only holds up to"
             f" {np.degrees(np.arctan(friction)):.1f}°"
         )
+    x, y, degrees = scenario.object.pose
+    rotation = turn(np.radians(degrees))
+    tied = rotation @ [tether.point_x, tether.point_y]
+    pull = tether_pull(tether, np.array([*(np.array([x, y]) + tied), 0.0]))[:2]
+    if not pull.any():
+        return
+    gravity = tilted_gravity(tilt, scenario.gravity)
+    slide = thing.total_mass * gravity[:2]
+    center = thing.center_of_mass[:2]
+    feet = thing.grid.centers[:, None] + thing.grid.width * FOUR.places
+    lever = tied - rotation @ center
+    share = _share_held(
+        np.repeat(-gravity[2] * thing.mass * thing.mu / len(FOUR.places), len(FOUR.places)),
+        (feet.reshape(-1, 2) - center) @ rotation.T,
+        pull + slide,
+        float(lever[0] * pull[1] - lever[1] * pull[0]),
+    )
+    if share < 1.0:
+        also = f" and the tilt of the table with {np.hypot(*slide):.3g} N" if slide.any() else ""
+        held = f"{100 * share:.3g} % of that" if also else f"{share * np.hypot(*pull):.3g} N there"
+        raise ValueError(
+            f"hidden.tether: object {thing.name} does not stay where it lies: the tether pulls with"
+            f" {np.hypot(*pull):.3g} N{also}, but friction only holds up to {held}; lower stiffness, or place"
+            " the anchor nearer or give it more slack"
+        )
+
+
+def _share_held(friction: FloatArray, arms: FloatArray, force: FloatArray, torque: float) -> float:
+    """Largest multiple of a load that friction holds on an object at rest.
+
+    It is the least power that any motion loses by friction where the load's power is one; the motion is found
+    by repeatedly solving the viscous problem with the same friction at the motion found before.
+
+    Args:
+        friction: (n,) greatest friction force of each foot, N.
+        arms: (n, 2) feet from the point about which the torque is taken, m.
+        force: (2,) of the load, N.
+        torque: of the load, N m.
+    """
+    size = float(np.hypot(*arms.T).max())
+    load = np.array([*force, torque / size])
+    one, none = np.ones(len(arms)), np.zeros(len(arms))
+    x, y = arms.T / size
+    motions = np.array([[one, none, -y], [none, one, x]])  # (2, 3, n) velocity of each foot by the motion's
+    slip = one
+    for _ in range(200):
+        viscous = (motions * (friction / np.maximum(slip, 1e-9 * slip.max()))) @ motions.transpose(0, 2, 1)
+        motion = np.linalg.solve(viscous.sum(axis=0), load)
+        motion /= load @ motion
+        slip = np.linalg.norm(np.einsum("ain,i->an", motions, motion), axis=0)
+    return float(friction @ slip)
 
 
 def _check_table(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:

@@ -73,9 +73,7 @@ TRIED: dict[str, dict[str, Any]] = {
     "smooth finger": block(mu_finger=0.0),
     "finger just below the top": {"object": BLOCK, "execution": {"tip_height": 0.035}},
     "steep table": {"object": BLOCK, "hidden": {"table_tilt": {"down_x": 0.2}}},
-    "stiff tether": {
-        "object": BLOCK, "hidden": {"tether": {"stiffness": 400.0, "anchor_x": 0.3, "anchor_y": 0.1}}
-    },
+    "stiff tether": {"object": BLOCK, "hidden": {"tether": {"stiffness": 400.0, "slack": 0.3}}},
     "in honey": {"object": BLOCK, "hidden": {"viscous_friction": {"drag_per_area": 3000.0}}},
     "coarse steps": {"object": BLOCK, "simulation": {"time_step": 0.01}},
     "long rod": shape("rod"),
@@ -114,6 +112,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "too thin": (shape("foil"), "mm high"),
     "too small": (shape("grain"), "cm²"),
     "slides off": (block(mu=0.1) | {"hidden": {"table_tilt": {"down_x": 0.2}}}, "slides off by itself"),
+    "pulled away": (
+        {"object": BLOCK, "hidden": {"tether": {"stiffness": 400.0}}},
+        "the tether pulls with 120 N, but friction only holds up to",
+    ),
     "in millimetres": (shape("block_mm"), "0.001"),
     "too heavy to be moved": (block(mass=150.0, mu=0.6), "takes 883 N to slide"),
     "under the arm": (block(pose=[-0.4, 0.0, 0.0]), "beside the arm at home"),

@@ -30,6 +30,8 @@ from slipmap.diagrams.station.hidden_effects import (
     add_hidden_effects,
     tilted_gravity,
 )
+from slipmap.diagrams.station.placement import check_rest
+from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.sliding_object import add_sliding_object, spatial_inertia
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.effects import LIBRARY
@@ -145,6 +147,38 @@ def test_tether_pulls_beyond_its_slack_at_its_point(box: TrueObject) -> None:
     np.testing.assert_allclose(torque, np.cross([0.0, 0.1, 0.0], force), atol=1e-12)
     slack, _ = system.wrench(RigidTransform([0.25, 0.0, 0.0]), SpatialVelocity.Zero())
     np.testing.assert_array_equal(slack, 0.0)
+
+
+@pytest.mark.parametrize("down_y", [0.0, -0.12])
+def test_object_that_a_tether_moves_by_itself_is_refused(box: TrueObject, down_y: float) -> None:
+    scenario = Scenario()
+    scenario.object.pose = [0.1, -0.05, 40.0]
+    scenario.hidden.table_tilt.down_y = down_y
+    scenario.hidden.tether = Tether(1.0, 0.3, 0.4, 0.05, 0.09, 0.03)
+
+    def told(stiffness: float) -> str:
+        scenario.hidden.tether.stiffness = stiffness
+        try:
+            check_rest(scenario, box)
+        except ValueError as refused:
+            return str(refused)
+        return ""
+
+    low, high = 0.1, 100.0
+    while high - low > 0.01:
+        middle = (low + high) / 2
+        low, high = (low, middle) if told(middle) else (middle, high)
+    assert "hidden.tether: object box does not stay" in told(high)
+    x, y, degrees = scenario.object.pose
+    moved = []
+    for share in (0.97, 1.03):
+        scenario.hidden.tether.stiffness = share * low
+        bed = TestBed(box, hidden=scenario.hidden)
+        bed.start(np.array([x, y, np.radians(degrees)]))
+        before = bed.pose
+        bed.advance(0.3)
+        moved.append(np.abs(bed.pose - before).max())
+    assert moved[0] < 1e-3 and moved[1] > 4e-3, moved
 
 
 def test_drag_is_the_integral_over_the_base(box: TrueObject) -> None:

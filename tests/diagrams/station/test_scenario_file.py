@@ -351,6 +351,16 @@ def test_recorded_pushes_bear_the_objects_name(tmp_path):
         ("{object: {name: box}, execution: {safe_height: 0.08}}", ["box is 0.070 m high", "0.060 m"]),
         ("execution: {tip_height: 0.05}", ["tip_height is 0.05 m", "hammer is 0.0", "would pass over it"]),
         ("hidden: {table_tilt: {down_x: 0.3, down_y: 0.3}}", ["hammer slides off by itself", "23.6°"]),
+        (
+            "{object: {name: box}, hidden: {tether: {stiffness: 50, anchor_x: 0.4}}}",
+            ["hidden.tether: object box does not stay", "pulls with 20 N, but friction only holds up to 5."],
+        ),
+        (
+            "{object: {name: box}, hidden: {tether: {stiffness: 8, anchor_x: .4}, table_tilt: {down_x: .2}}}",
+            ["3.2 N and the tilt of the table with 3.12 N, but friction only holds up to", "% of that"],
+        ),
+        ("{object: {name: box}, hidden: {tether: {stiffness: 8, anchor_x: 0.4}}}", None),
+        ("{object: {name: box}, hidden: {tether: {stiffness: 500, anchor_x: 0.4, slack: 0.4}}}", None),
         ("{object: {pose: [0.0, 0.25, 0]}, camera: {fov_y: 0.4}}", ["not wholly in the picture", "y = 0.25"]),
         ("camera: {position: [1.0, 0.0]}", ["not wholly in the picture", "about (1, 0) m"]),
         ("{object: {name: box}, camera: {height: 0.3, fov_y: 1.5}}", None),
