@@ -175,15 +175,16 @@ def explore(
         longest = longest_push(scenario, real=cell is not None)
         most = pushes + (scenario.repair.pushes if options.adapt else 0)
         ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * most, watch)
+        planned = max(pushes, ended.status.of)  # a repair may have asked for more
         if ended.interrupted and not learn_when_stopped:
-            raise ExplorationStopped(f"stopped at push {ended.status.push + 1} of {pushes}")
+            raise ExplorationStopped(f"stopped at push {ended.status.push + 1} of {planned}")
         run = explored(loop, ended, scenario, options, report)
     if ended.status.mode != "finished" or run is None:
         recorded = 0 if run is None else len(run.dataset.trials)
         if ended.interrupted:
-            raise ExplorationStopped(f"stopped after {recorded} of {pushes} pushes", run)
+            raise ExplorationStopped(f"stopped after {recorded} of {planned} pushes", run)
         raise ExplorationFailed(
-            f"exploration stopped at push {ended.status.push + 1} of {pushes}: {ended.reason}", run
+            f"exploration stopped at push {ended.status.push + 1} of {planned}: {ended.reason}", run
         )
     return run
 

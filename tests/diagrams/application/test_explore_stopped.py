@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -92,6 +93,17 @@ def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatc
     with pytest.raises(ExplorationStopped, match="stopped at push 2 of 3") as stopped:
         explore(Scenario(), LoopOptions(pushes=2, checks=1), learn_when_stopped=False)
     assert stopped.value.run is None
+
+
+@pytest.mark.parametrize("learn", [False, True])
+def test_pushes_that_a_repair_asked_for_are_counted(monkeypatch, learn: bool) -> None:
+    end = LoopEnd(LoopStatus("pushing", 6, of=8), None, None, True, 1.0, 0.0)  # type: ignore[arg-type]
+    run = SimpleNamespace(dataset=SimpleNamespace(trials=[None] * 6))
+    monkeypatch.setattr(exploration_run, "run_loop", lambda *arguments: end)
+    monkeypatch.setattr(exploration_run, "explored", lambda *arguments: run)
+    told = "stopped after 6 of 8 pushes" if learn else "stopped at push 7 of 8"
+    with pytest.raises(ExplorationStopped, match=told):
+        explore(Scenario(), LoopOptions(pushes=4, adapt=True), learn_when_stopped=learn)
 
 
 def test_a_real_cell_that_ctrl_c_stops_is_looked_at_once_more_with_its_final_status(monkeypatch) -> None:
