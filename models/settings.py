@@ -1,7 +1,28 @@
-"""Settings dataclasses of scenario files: fields with a range, and the check of that range."""
+"""Checks of settings and arguments; settings dataclasses of scenario files, whose fields have a range."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import field, fields
+from numbers import Integral
 from typing import Any
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raise ValueError, with the choices, for a value that is none of them."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+
+
+def check_whole(name: str, value: object, least: int) -> None:
+    """Raise ValueError for a value that is no whole number, or below the least."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+
+
+def check_positive(name: str, value: float, unit: str) -> None:
+    """Raise ValueError for a number that is not positive and finite."""
+    if not 0 < value < math.inf:
+        raise ValueError(f"{name} must be positive and finite, got {value} {unit}")
 
 
 def within(default: float, least: float, largest: float) -> Any:

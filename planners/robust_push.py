@@ -27,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from slipmap.models.blas import one_blas_thread
@@ -322,13 +323,13 @@ class PlannedPush:
 @one_blas_thread()
 def plan_push(
     belief: Belief,
-    pose: FloatArray,
-    targets: FloatArray,
+    pose: ArrayLike,
+    targets: ArrayLike,
     table: Table,
     settings: PushSettings,
     rng: np.random.Generator,
     allowed: Callable[[TablePush], bool] = lambda push: True,
-    costs: FloatArray | None = None,
+    costs: ArrayLike | None = None,
 ) -> PlannedPush:
     """Choose a push that brings the object to one of the targets, or nearer to it.
 
@@ -345,9 +346,14 @@ def plan_push(
 
     Raises:
         NoReachablePush: the finger reaches the object nowhere, or no candidate is allowed.
+        ValueError: no target, or an argument of another shape or that is not finite; names it.
     """
+    pose = _finite("pose", pose, (3,))
     goals = np.atleast_2d(np.asarray(targets, dtype=float))
-    extra = np.zeros(len(goals)) if costs is None else np.asarray(costs, dtype=float)
+    if not goals.size or goals.ndim != 2 or goals.shape[1] != 3:
+        raise ValueError(f"plan_push: targets must be of shape (3,) or (G, 3), got {np.shape(targets)}")
+    _finite("targets", goals, goals.shape)
+    extra = np.zeros(len(goals)) if costs is None else _finite("costs", costs, (len(goals),))
     cone = float(np.radians(settings.cone))
     metric = PoseMetric(belief.grid)
     scenarios = Scenarios.of(belief.on(table), settings, rng)
@@ -376,6 +382,16 @@ def plan_push(
             values.append(expected(seen[-1]))
             lines = lines.joined(varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
+
+
+def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """The values as an array of the given shape; ValueError names what has another one or is not finite."""
+    array = np.asarray(values, dtype=float)
+    if array.shape != shape:
+        raise ValueError(f"plan_push: {name} must be of shape {shape}, got {array.shape}")
+    for value in array[~np.isfinite(array)]:
+        raise ValueError(f"plan_push: {name} must be finite, got {value}")
+    return array
 
 
 def _expected_pushes(

@@ -6,7 +6,7 @@ Users tune them in a scenario file. This module imports quickly, so that help te
 # Annotations stay objects, because Drake's YAML reader inspects them.
 from dataclasses import dataclass, field
 
-from slipmap.models.settings import CheckedSettings, check_ranges, within
+from slipmap.models.settings import CheckedSettings, check_choice, check_ranges, within
 
 STRATEGIES = ("random", "most-different", "most-distinctive")
 """Strategies of Algorithm 2, see `slipmap.planners.action_selection`."""
@@ -137,10 +137,7 @@ class PregraspSettings:
     def check(self) -> None:
         """Raise ValueError, naming the field, for an invalid number."""
         check_ranges(self, "pregrasp.")
-        if self.strategy not in STRATEGIES:
-            raise ValueError(
-                f"pregrasp.strategy must be one of {', '.join(STRATEGIES)}, got {self.strategy!r}"
-            )
+        check_choice("pregrasp.strategy", self.strategy, STRATEGIES)
         self.poke.check()
         self.goals.check()
         self.push.check()

@@ -31,6 +31,7 @@ from slipmap.diagrams.systems.measurement_logger import MeasurementLogger, datas
 from slipmap.diagrams.systems.model_monitor import ModelMonitor, Watch
 from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PushSupervisor
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise
@@ -39,8 +40,10 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import check_choice, check_whole
 from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.settings import STRATEGIES
 
 LONGEST_STEP = 0.005
 """Longest time step of the hypotheses that run beside the real object, s; twice that moves the ends of taps
@@ -97,6 +100,9 @@ class LoopOptions:
             the effects that are named are added to it. Then every push is learned from, and there are no
             `checks`.
 
+    Raises:
+        ValueError: an option out of range, an unknown strategy or effect.
+
     Example:
         >>> import slipmap
         >>> slipmap.LoopOptions(pushes=3, checks=1).strategy
@@ -113,6 +119,10 @@ class LoopOptions:
     adapt: bool = False
 
     def __post_init__(self) -> None:
+        for name, least in (("pushes", 1), ("checks", 0), ("cells", 1), ("hypotheses", 2), ("seed", 0)):
+            check_whole(f"LoopOptions: {name}", getattr(self, name), least)
+        check_choice("LoopOptions: strategy", self.strategy, STRATEGIES)
+        effects_named(self.effects)
         if self.adapt and self.checks:
             raise ValueError("with adapt every push is learned from: checks must be 0")
 
@@ -257,7 +267,6 @@ def add_exploration(
 
     Raises:
         ScenarioError: an object, a surface or a hidden effect that cannot be made.
-        ValueError: an unknown strategy.
         RendererUnavailable: this machine cannot render pictures.
     """
     try:

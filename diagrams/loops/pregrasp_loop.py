@@ -38,7 +38,8 @@ from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.maps import Maps
 from slipmap.models.progress import silent
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.planners.settings import PregraspSettings
+from slipmap.models.settings import check_choice, check_whole
+from slipmap.planners.settings import METHODS, PregraspSettings
 
 BRINGS = {
     "planning": "planning",
@@ -64,6 +65,9 @@ class PregraspOptions:
         method: of planning, one of `slipmap.planners.settings.METHODS`.
         pushes: most pushes towards the edge.
 
+    Raises:
+        ValueError: an unknown method, or no push.
+
     Example:
         >>> import slipmap
         >>> slipmap.PregraspOptions(slipmap.LoopOptions(pushes=3), method="probabilistic").method
@@ -73,6 +77,10 @@ class PregraspOptions:
     exploration: LoopOptions = field(default_factory=LoopOptions)
     method: str = "probabilistic"
     pushes: int = 20
+
+    def __post_init__(self) -> None:
+        check_choice("PregraspOptions: method", self.method, METHODS)
+        check_whole("PregraspOptions: pushes", self.pushes, 1)
 
 
 def pregrasp_loop(

@@ -194,7 +194,14 @@ def CellGridSlider_(T: type) -> type:
 
         def set_motion(self, context: Any, pose: FloatArray, twist: FloatArray | None = None) -> None:
             """Place the object where a tracker reports `pose` (3,), at rest or with a twist (3,), without
-            contact and with the effects' memory cleared."""
+            contact and with the effects' memory cleared.
+
+            Raises:
+                ValueError: not three finite numbers.
+            """
+            for what, values in (("pose", pose), ("twist", np.zeros(3) if twist is None else twist)):
+                if np.shape(values) != (3,) or not np.isfinite(np.asarray(values, dtype=float)).all():
+                    raise ValueError(f"set_motion: {what} must be three finite numbers, got {values}")
             models = self._models(context)
             start = self.stepper.start(models, pose, None if twist is None else np.asarray(twist)[None])[0]
             context.SetDiscreteState(np.concatenate([start, np.tile(start[:3], self._history)]))
@@ -270,7 +277,13 @@ CellGridSlider = CellGridSlider_[float]
 
 
 def slider_of_hypothesis(belief: Belief, hypothesis: int, h: float) -> Any:
-    """`CellGridSlider` of one hypothesis of a belief, with its effects, in steps of h (s)."""
+    """`CellGridSlider` of one hypothesis of a belief, with its effects, in steps of h (s).
+
+    Raises:
+        ValueError: the belief has no hypothesis of this number.
+    """
+    if not 0 <= hypothesis < len(belief):
+        raise ValueError(f"the belief has hypotheses 0 to {len(belief) - 1}, got hypothesis {hypothesis}")
     return CellGridSlider(
         belief.grid,
         belief.maps[hypothesis : hypothesis + 1],

@@ -14,9 +14,10 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held, read, rep
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import SeenObject
+from slipmap.models.settings import check_choice
 from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
-from slipmap.planners.settings import PokeSettings
+from slipmap.planners.settings import STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
@@ -47,6 +48,9 @@ class Exploration(PythonSystem):
         past: pushes made earlier.
         table: its top, from which the object must not fall; unknown if None.
 
+    Raises:
+        ValueError: an unknown strategy.
+
     Example:
         >>> import slipmap
         >>> settings = slipmap.Scenario().pokes
@@ -68,6 +72,7 @@ class Exploration(PythonSystem):
         table: Table | None = None,
     ) -> None:
         super().__init__()
+        check_choice("Exploration: strategy", strategy, STRATEGIES)
         self._strategy = strategy
         self._fit = fit
         self._finger_radius = finger_radius

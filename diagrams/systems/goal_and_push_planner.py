@@ -21,12 +21,13 @@ from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
+from slipmap.models.settings import check_choice
 from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
 from slipmap.planners.pregrasp import planning_belief
 from slipmap.planners.push_decisions import Decision, Pursuit, decide, near_enough
 from slipmap.planners.robust_push import NEGLIGIBLE
-from slipmap.planners.settings import PregraspSettings
+from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
@@ -189,6 +190,9 @@ class GoalAndPushPlanner(PythonSystem):
         truth: the true maps over the cells seen; only the method `true` uses it.
         worker: runs the computation; this process if None. It must be able to pickle the functions.
 
+    Raises:
+        ValueError: an unknown method, or a setting out of range.
+
     Example:
         >>> import slipmap
         >>> from slipmap.models.measurements import Table
@@ -214,6 +218,7 @@ class GoalAndPushPlanner(PythonSystem):
     ) -> None:
         super().__init__()
         settings.check()
+        check_choice("GoalAndPushPlanner: method", method, METHODS)
         self._procedure = _Procedure(settings, table, method, can_push, can_grasp, can_see, seed, truth)
         self._worker = worker
         self.declare_inputs("belief", "object_pose", "seen_object", "status")

@@ -11,7 +11,7 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held, read, rep
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.identification import identify
+from slipmap.models.inference.identification import check_hypotheses, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise, Table
@@ -57,6 +57,7 @@ class Identification(PythonSystem):
 
     Raises:
         EffectError: an unknown effect.
+        ValueError: an unknown method, effects with one that does not support them, or too few hypotheses.
 
     Example:
         >>> import slipmap
@@ -93,6 +94,7 @@ class Identification(PythonSystem):
         )
         self._grid = grid
         learning(effects, method)
+        check_hypotheses(hypotheses)
         self._effects, self._method = tuple(effects), method
         self._options = {"hypotheses": hypotheses, "seed": seed}
         self._learned = learned
@@ -141,5 +143,7 @@ def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Calla
 
     Raises:
         EffectError: an unknown effect.
+        ValueError: an unknown method, or effects with one that does not support them.
     """
-    return partial(identify, effects=effects_named(list(effects)), method=method, friction_laws=False)
+    check_method(method, effects)
+    return partial(identify, effects=effects_named(effects), method=method, friction_laws=False)

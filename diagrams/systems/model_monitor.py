@@ -21,6 +21,7 @@ from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
+from slipmap.models.settings import check_positive
 
 LEVEL = 0.01
 """Rate of false alarms: with a correct model, at least 1/LEVEL pushes pass on average before the evidence
@@ -148,7 +149,7 @@ class ModelMonitor(PythonSystem):
         before: state left by an earlier process.
 
     Raises:
-        ValueError: the noise of position or angle is not given.
+        ValueError: the noise of position or angle is not given, or the period is not positive.
 
     Example:
         >>> import slipmap
@@ -167,6 +168,7 @@ class ModelMonitor(PythonSystem):
     ) -> None:
         super().__init__()
         self.set_name("model_monitor")
+        check_positive("ModelMonitor: period", period, "s")
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
         self._error, self._error_held = (

@@ -119,13 +119,16 @@ def effects_named(names: Sequence[str], known: Sequence[Effect] = LIBRARY) -> tu
     """The effects with the given names, in that order.
 
     Raises:
-        EffectError: a name is unknown (the message suggests near ones) or given twice.
+        EffectError: a name is unknown (the message suggests near ones) or given twice, or the names are one
+            text.
 
     Example:
         >>> import slipmap
         >>> [effect.sentence for effect in slipmap.effects_named(["table_tilt"])]
         ['The table is not level: gravity has a component along it.']
     """
+    if isinstance(names, str):
+        raise EffectError(f"effects must be a list of names, got {names!r}; write [{names!r}]")
     by_name = {effect.name: effect for effect in known}
     for name in names:
         if name not in by_name:

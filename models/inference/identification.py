@@ -83,10 +83,7 @@ def identify(
         >>> len(result.belief), result.errors("heldout").shape
         (4, (1,))
     """
-    if method not in METHODS:
-        raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
-    if effects and method == "paper":
-        raise ValueError("the method paper does not support effects; use gauss-newton")
+    check_method(method, effects)
     check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or silent
@@ -230,6 +227,20 @@ def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
     return effects_named(names, (*LIBRARY, *own))
 
 
+def check_method(method: str, effects: Sequence[object]) -> None:
+    """Raise ValueError for an unknown method, or effects with one that does not support them."""
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
+    if effects and method == "paper":
+        raise ValueError("the method paper does not support effects; use gauss-newton")
+
+
+def check_hypotheses(hypotheses: int) -> None:
+    """Raise ValueError if there are too few hypotheses for a belief."""
+    if hypotheses < 2:
+        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
+
+
 def check_request(dataset: PushDataset, hypotheses: int) -> None:
     """Refuse a request from which no belief can be learned.
 
@@ -237,8 +248,7 @@ def check_request(dataset: PushDataset, hypotheses: int) -> None:
         DatasetError: there is no push to fit.
         ValueError: too few hypotheses.
     """
-    if hypotheses < 2:
-        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
+    check_hypotheses(hypotheses)
     if not dataset.fit_trials:
         raise DatasetError(
             f"dataset {dataset.name} has no push with the role fit; set the role of at least one push to fit"

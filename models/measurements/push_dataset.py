@@ -19,6 +19,7 @@ from shapely.geometry import Polygon
 
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import check_choice
 
 Role = Literal["fit", "heldout"]
 
@@ -198,6 +199,9 @@ class Noise:
 class Table:
     """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
 
+    Raises:
+        ValueError: another shape.
+
     Example:
         >>> from slipmap.models.measurements import Table
         >>> table = Table("round", (0.0, 0.0), radius=0.5)
@@ -209,6 +213,9 @@ class Table:
     center: tuple[float, float]
     radius: float | None = None
     size: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_choice("Table: shape", self.shape, ("round", "rectangle"))
 
     @property
     def polygon(self) -> Polygon:

@@ -132,3 +132,26 @@ def test_the_likelier_hypothesis_decides_where_two_differ():
         planned = plan(ends[k], belief=replace(pair, probability=p))
         gaps = metric.gap(planned.predicted, ends[k])
         assert gaps[k] < 0.01 < gaps[1 - k]
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"pose": np.zeros(2)}, r"pose must be of shape \(3,\), got \(2,\)"),
+        ({"pose": [np.nan, 0.0, 0.0]}, "pose must be finite, got nan"),
+        ({"targets": np.zeros((0, 3))}, r"targets must be of shape \(3,\) or \(G, 3\), got \(0, 3\)"),
+        ({"targets": []}, r"targets must be .* got \(0,\)"),
+        ({"targets": [[0.3, 0.0]]}, r"targets must be .* got \(1, 2\)"),
+        ({"targets": [0.3, np.inf, 0.0]}, "targets must be finite, got inf"),
+        ({"costs": [1.0, 2.0]}, r"costs must be of shape \(1,\), got \(2,\)"),
+        ({"costs": [np.nan]}, "costs must be finite"),
+    ],
+)
+def test_wrong_arguments_are_refused_by_name(changed, told):
+    with pytest.raises(ValueError, match=told):
+        plan(**{"targets": [0.2, 0.0, 0.0], **changed})
+
+
+def test_lists_are_poses_too():
+    one = plan([0.15, 0.05, 0.2], pose=list(START))
+    np.testing.assert_array_equal(one.push.end, plan(np.array([0.15, 0.05, 0.2])).push.end)

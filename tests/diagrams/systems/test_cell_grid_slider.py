@@ -138,3 +138,24 @@ def test_one_model_only() -> None:
     system = system_of("plain")
     with pytest.raises(ValueError, match="holds one model"):
         system.set_maps(system.CreateDefaultContext(), block_belief().maps)
+
+
+@pytest.mark.parametrize(
+    ("pose", "twist", "told"),
+    [
+        ([np.nan, 0.0, 0.0], None, "pose must be three finite numbers, got .*nan"),
+        ([0.0, 0.0], None, "pose must be three"),
+        ([0.0, 0.0, 0.0], [0.0, np.inf, 0.0], "twist must be three finite numbers, got .*inf"),
+        ([0.0, 0.0, 0.0], [0.1], "twist must be three"),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(pose: list[float], twist: list[float] | None, told: str) -> None:
+    system = CellGridSlider(block(), block_belief().maps[:1], RADIUS, H)
+    with pytest.raises(ValueError, match=told):
+        system.set_motion(system.CreateDefaultContext(), pose, twist)
+
+
+@pytest.mark.parametrize("hypothesis", [-1, 4, 99])
+def test_a_hypothesis_that_the_belief_lacks_is_refused(hypothesis: int) -> None:
+    with pytest.raises(ValueError, match=f"hypotheses 0 to 3, got hypothesis {hypothesis}"):
+        slider_of_hypothesis(block_belief(4), hypothesis, H)
