@@ -270,7 +270,7 @@ def test_an_unknown_object_is_refused_with_the_names_there_are(slipmap, tmp_path
         ("object: {labels: nowhere.png}", ["nowhere.png"]),
         ("object: {mass: -1.0, mu: 0.3, mesh: nowhere.obj}", ["object.mass", "positive"]),
         ("table: {friction: 0.05}", ["friction"]),
-        ("hidden: {tether: {stiffness: 1.0e+9}}", ["Tether.stiffness"]),
+        ("hidden: {tether: {stiffness: 1.0e+9, slack: 0.4}}", ["Tether.stiffness"]),
     ],
 )
 def test_a_scenario_that_cannot_be_used_is_refused_by_the_fields_name(slipmap, tmp_path, yaml, named):
