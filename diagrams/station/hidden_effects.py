@@ -268,7 +268,10 @@ class HiddenEffects(PythonSystem):
             touching = np.abs(p_WO[2] + arms[:, 2]) < _TOUCH
             drag = self._config.viscous_friction.drag_per_area * self._width**2 * touching
             friction = self._extra_friction(p_WO + arms, velocities, touching)
-            friction *= self._share(friction, arms - R @ self._p_OC, velocities)
+            brakes = (friction * velocities).sum(axis=1) < 0.0
+            friction[brakes] *= self._share(
+                friction[brakes], (arms - R @ self._p_OC)[brakes], velocities[brakes]
+            )
             slowing = friction - drag[:, None] * velocities
             force = force + slowing.sum(axis=0)
             torque = torque + _cross(arms, slowing).sum(axis=0)
