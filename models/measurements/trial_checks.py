@@ -215,7 +215,7 @@ def _judged(
     corrected, or if the object is carried, as long as this holds for at most a tenth of the pushes.
     """
     carried = {trial.name: found[0] for trial in trials if (found := carries(setup, trial))}
-    few = max(1, len(trials) // _LONERS) if len(trials) >= _FEWEST_TRIALS else 0
+    few = _few(len(trials))
     fit = {trial.name for trial in trials if trial.role == "fit"}
     faults = {name: carried_text(carry) for name, carry in carried.items()}
     deep = [rows for rows in pushes if _too_deep(rows)]
@@ -251,7 +251,7 @@ def _judged(
         alone = [rows for rows in deep if max(rows.depth, -rows.gap[0]) > _ALONE * usual]
         alone = [rows for rows in alone if rows.trial.name not in faults]
         gone = {rows.trial.name for rows in alone} | set(faults)
-        if len(deep) + len(faults) <= few and not (fit and fit <= gone):
+        if len(deep) + len(faults) <= _few(len(pushes)) and not (fit and fit <= gone):
             for rows in alone:
                 verb, where_ = ("starts", "inside") if _from_start(rows) else ("goes", "into")
                 faults[rows.trial.name] = (
@@ -275,6 +275,11 @@ def _judged(
             kinds.setdefault(faults[name], []).append(name)
         warnings += [f"{parsing.listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
     return odd, warnings, frame_wrong
+
+
+def _few(count: int) -> int:
+    """Largest number of odd ones among so many that may be left out."""
+    return max(1, count // _LONERS) if count >= _FEWEST_TRIALS else 0
 
 
 def _deep_text(deep: Sequence[ContactRows], count: int) -> str:

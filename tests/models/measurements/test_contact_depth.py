@@ -249,3 +249,16 @@ def test_the_first_pose_is_compared_whatever_follows(tmp_path):
     assert len(dataset.trials) == 12
     for trial in dataset.trials:
         assert contact_rows(dataset, trial).time[0] == trial.object_pose.time[0]
+
+
+def test_one_push_that_seems_deep_is_not_left_out_if_few_others_can_be_judged(tmp_path):
+    """Contact of pushes whose angles are in degrees is not judged."""
+    dataset = straight_pushes(6)
+
+    def degrees(pose):
+        return pose + np.column_stack([0.0 * pose[:, :2], np.linspace(0.0, 30.0, len(pose))])
+
+    trials = (tipped(lambda tip: np.add(tip, [0.012, 0.012]))(dataset.trials[0]),)
+    trials += tuple(map(posed(degrees), dataset.trials[1:]))
+    read = reread(tmp_path, replace(dataset, trials=trials), same)
+    assert len(read.trials) == 6 and not [text for text in read.warnings if "left out" in text]
