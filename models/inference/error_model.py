@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from slipmap.models.inference.observations import Observation
 from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.motion import rounding_noise
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -99,7 +100,8 @@ def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
 
 
 def sensor_noise(dataset: PushDataset) -> SensorNoise:
-    """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows."""
+    """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows and their
+    rounding."""
     declared = dataset.noise
     position, angle, force = declared.position, declared.angle, declared.force
     known, assumed = position is not None and angle is not None, False
@@ -107,9 +109,10 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
         dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) >= _ENOUGH]
         assumed = not dense
         typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
+        typical = np.maximum(typical, rounding_noise([channel.values for channel in dense]))
         # A sensor that repeats rows appears to have no noise.
         if position is None:
-            position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
+            position = max(float(np.hypot(typical[0], typical[1]) / np.sqrt(2.0)), 1e-4)
         if angle is None:
             angle = max(float(typical[2]), 1e-3)
     if force is None:

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
-from slipmap.models.measurements.motion import row_noise
+from slipmap.models.measurements.motion import pose_scatter
 from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -133,11 +133,11 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
 
 def pose_noise(setup: Setup, pose: Channel) -> tuple[float, float]:
     """Standard deviations of a pose's x or y, m, and of its angle, rad: declared, or from the scatter of
-    neighbouring rows."""
+    neighbouring rows and their rounding."""
     noise = setup.noise
     scatter = np.zeros(3)
     if len(pose.time) > 2 and None in (noise.position, noise.angle):
-        scatter = row_noise(pose.time, pose.values)
+        scatter = pose_scatter(pose.time, pose.values)
     position = min(float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0), _LARGEST_NOISE)
     angle = min(float(scatter[2]), _LARGEST_TURN)
     return (

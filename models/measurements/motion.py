@@ -6,6 +6,8 @@ plant and jitter of 0.1 mm, ten pushes, most of them taps, ended 2.4 mm off on a
 smoothing (without jitter 0.3 mm).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import solveh_banded
 
@@ -29,6 +31,11 @@ _TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
 _COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
 _FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %
 _RESOLUTION = 1e-6  # m and rad; files are rounded to about this
+_LEAST_STEPS = np.array([5e-5, 5e-5, np.radians(0.05)])  # m and rad; finer rounding is not told
+_FEWEST_SPACINGS = 8  # between distinct values,
+_ON_GRID = 0.9  # share of them that are multiples of a step,
+_OFF_GRID = 0.05  # to this share of it
+_UNEVEN = 0.3  # changes of speed per spacing; even motion without noise has equal spacings too
 _HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
 _HUBER_ITERATIONS = 8
 
@@ -130,7 +137,7 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     Returns:
         (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows, which are too few.
     """
-    noise = row_noise(time, pose)
+    noise = pose_scatter(time, pose)
     within = int(np.searchsorted(time, time[0] + _LONGEST_WINDOW, side="right"))
     sizes = [size for size in _WINDOW_ROWS if size <= within]
     for position, size in enumerate(sizes):
@@ -190,14 +197,50 @@ def _quadratic(time: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(time), time, time**2], axis=1)
 
 
-def row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
-    """(3,) robust standard deviation of a row from the line through its neighbours."""
+def pose_scatter(time: FloatArray, pose: FloatArray) -> FloatArray:
+    """(3,) standard deviation of a pose's x, y and angle, at least what rounding alone makes."""
+    return np.maximum(row_noise(time, pose), rounding_noise([pose]))
+
+
+def row_noise(time: FloatArray, values: FloatArray) -> FloatArray:
+    """(c,) robust standard deviation of a row (c,) from the line through its neighbours."""
     if len(time) < 3:
-        return np.full(3, _RESOLUTION)
+        return np.full(values.shape[1], _RESOLUTION)
     share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
-    distance = pose[1:-1] - (1.0 - share) * pose[:-2] - share * pose[2:]
+    distance = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
     spread = _robust_spread(distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
     return np.maximum(spread, _RESOLUTION)
+
+
+def rounding_noise(tracks: Sequence[FloatArray]) -> FloatArray:
+    """(3,) standard deviation that the rounding of x, y and angle alone makes; 0 where none shows."""
+    return rounding_steps(tracks) / np.sqrt(12.0)
+
+
+def rounding_steps(tracks: Sequence[FloatArray]) -> FloatArray:
+    """(3,) steps in which x, y and angle of poses (T, 3) come, m and rad; 0 where they come in none.
+
+    Steps below 0.05 mm or 0.05° are not told.
+    """
+    steps = np.array([_step([track[:, column] for track in tracks]) for column in range(3)])
+    return np.where(steps > _LEAST_STEPS, steps, 0.0)
+
+
+def _step(tracks: Sequence[FloatArray]) -> float:
+    """Common step of which the spacings of distinct values of a track are multiples; 0 without one."""
+    spacings = np.concatenate([np.diff(np.unique(track)) for track in tracks] or [np.zeros(0)])
+    spacings = spacings[spacings > _RESOLUTION]
+    if len(spacings) < _FEWEST_SPACINGS:
+        return 0.0
+    for parts in range(1, 6):  # a fast object skips values
+        rough = float(np.median(spacings)) / parts
+        times = np.maximum(np.round(spacings / rough), 1.0)
+        step = float(np.median(spacings / times))
+        if np.mean(np.abs(spacings / step - times) < _OFF_GRID) < _ON_GRID:
+            continue
+        changes = sum(int((np.abs(np.diff(track, 2)) > 0.5 * step).sum()) for track in tracks)
+        return step if changes > _UNEVEN * len(spacings) else 0.0
+    return 0.0
 
 
 def _robust_spread(residual: FloatArray) -> FloatArray:

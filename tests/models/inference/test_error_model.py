@@ -53,6 +53,20 @@ class TestSensorNoise:
         assert found.position == pytest.approx(declared.position, rel=0.25)
         assert found.force == pytest.approx(declared.force, rel=0.5)
 
+    def test_rounded_poses_are_as_noisy_as_their_rounding(self, recorded) -> None:
+        """Most rows repeat the one before, and scatter by nothing."""
+        step = np.array([2e-3, 2e-3, 0.02])
+        trials = tuple(
+            replace(
+                one,
+                object_pose=Channel(one.object_pose.time, step * np.round(one.object_pose.values / step)),
+            )
+            for one in recorded.dataset.trials
+        )
+        found = sensor_noise(replace(recorded.dataset, noise=Noise(), trials=trials))
+        assert found.position >= 0.99 * step[0] / np.sqrt(12.0)
+        assert found.angle >= 0.99 * step[2] / np.sqrt(12.0)
+
     @pytest.mark.parametrize("rows", [30, 60])
     def test_noise_of_a_slow_camera_is_found_too(self, recorded, rows) -> None:
         found, declared = sensor_noise(thinned(recorded.dataset, rows)), sensor_noise(recorded.dataset)
