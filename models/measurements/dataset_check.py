@@ -24,9 +24,11 @@ from slipmap.models.measurements.contact import (
     force_complaint,
     gaps,
     normals_and_forces,
+    pose_noise,
 )
 from slipmap.models.measurements.importing.clocks import (
     Lag,
+    Rise,
     bias_matters,
     free_force,
     lag_by_rises,
@@ -34,6 +36,7 @@ from slipmap.models.measurements.importing.clocks import (
     middle_of,
     rises_after_touch,
 )
+from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
 from slipmap.models.measurements.trial_checks import impossible, turns_like_degrees
 from slipmap.models.physics.cell_grid import FloatArray
@@ -53,18 +56,27 @@ _CLOSE_SPREAD = 0.1  # and below which no size in mm explains them
 _FEWEST_LAGS = 3  # pushes without which no clock is called wrong,
 _LEAST_SHARE = 0.2  # and share of the pushes
 _FORCE_LATE = 0.01  # s
+_EXPLAINED = 0.25  # share of a force's delay by wrong geometry, from which this is told too
+_NO_GEOMETRY = ("force", "noise", "rounding")  # starts of findings that do not shift touches
 _NO_COMMON_LAG = "is a frame, the outline or finger.radius wrong, rather than a clock?"
 _SETUP = " (`clock` in a setup.yaml)"
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
+_SELDOM_LESS, _SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
+_NOISIER = 3.0  # times the declared noise
+_FEWEST_NOISY = 30  # rows of a track that show its noise
+_MOST_MOTION = 1.5  # times the scatter of every second row, of which more is motion
+_COARSE_STEPS = (5e-4, np.radians(0.5))  # m and rad
 _OFF_NORMAL = np.radians(25.0)  # median; beyond the friction of most fingers
 _ARCS = 8  # equal parts of the outline's length
 _OCTANTS = 8
 _COASTS = 5e-3  # m that an object moves without the finger
 _AWAY = 2e-3  # m
+_STILL = 5.0  # standard deviations of a position that are no motion
 _NEAR = 0.02  # m of air that a wrong outline or finger may explain
 _FAST = 0.1  # m/s above which inertia shows
+_TURNS, _TURNS_FAR = float(np.radians(10.0)), float(np.radians(30.0))
 _SPEEDS = 2.0  # ratio from which speeds count as different
 
 
@@ -159,12 +171,13 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         *_rates(dataset),
         *_rows_left_out(dataset),
         *_jumps(dataset),
-        *_clocks(dataset, rows),
-        *_impossible(dataset),
-        *_depth(dataset, rows),
-        *_forces(dataset, rows),
+        *_noises(dataset),
+        *_clock_of_finger(dataset, rows),
     ]
+    place = len(findings)
+    findings += [*_impossible(dataset), *_depth(dataset, rows), *_forces(dataset, rows)]
     findings += _from_reading(dataset.warnings, findings)
+    findings[place:place] = _clock_of_force(dataset, findings)
     coverage = _coverage(dataset, rows)
     effects = tuple(
         Told(name, could := shows(coverage), words if could else f"needs {words}")
@@ -291,9 +304,57 @@ def _jumps(dataset: PushDataset) -> list[Finding]:
     return found
 
 
-def _clocks(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
-    """Clocks of the finger relative to the object, and of the force relative to both, from contact."""
-    lags, late = [], []
+def _noises(dataset: PushDataset) -> list[Finding]:
+    """Rounding of the poses, and scatter of rows that contradicts the declared noise."""
+    dense = [one.object_pose for one in dataset.trials if len(one.object_pose.time) >= _FEWEST_NOISY]
+    steps = rounding_steps([pose.values for pose in dense])
+    scatters = [row_noise(pose.time, pose.values) for pose in dense]
+    # Motion between rows grows with their distance, noise does not.
+    every_second = [row_noise(pose.time[::2], pose.values[::2]) for pose in dense]
+    scatter = np.median(scatters or np.zeros((1, 3)), axis=0)
+    motion = np.median(every_second or np.zeros((1, 3)), axis=0) > _MOST_MOTION * scatter
+    scatter = np.where(motion, 0.0, scatter)
+    free = [
+        float(np.max(found[1])) * np.sqrt(max(found[2] / 10.0, 1.0))
+        for one in dataset.trials
+        if one.ft_wrench is not None and one.has_finger and not one.ends_only
+        and (found := free_force(dataset, one.object_pose, one.tip_pose, one.ft_wrench)) is not None
+    ]  # fmt: skip
+    # Contact chatters; and with wrong frames, contact may seem free.
+    wrenches = [one.ft_wrench for one in dataset.trials if one.ft_wrench is not None]
+    rough = [row_noise(wrench.time, wrench.values[:, :2]).max() for wrench in wrenches]
+    force = min(np.median(free or [0.0]), np.median(rough or [0.0]))
+    noise, degree = dataset.noise, float(np.radians(1.0))
+    findings = []
+    for what, key, si, unit, size, declared, seen, step, coarse in (
+        ("positions", "position", "m", "mm", 1e-3, noise.position, max(scatter[:2]), max(steps[:2]), 0),
+        ("angles", "angle", "rad", "°", degree, noise.angle, scatter[2], steps[2], 1),
+        ("forces without contact", "force", "N", "N", 1.0, noise.force, force, 0.0, 0),
+    ):
+        space = "" if unit == "°" else " "
+        if step:
+            text = f"{what} come in steps of {step / size:.2g}{space}{unit}"
+            least = step / np.sqrt(12.0)
+            advice = ""
+            if declared is not None and declared < least:
+                advice = f"noise.{key} must be {least:.2g} {si} or more: rounding alone makes as much"
+            elif step > _COARSE_STEPS[coarse]:
+                advice = "were they rounded on export? Keep all digits"
+            findings.append(Finding("rounding", text, "note", advice))
+        elif declared is not None and seen > _NOISIER * declared:
+            text = (
+                f"{what} scatter by {seen / size:.2g}{space}{unit} from row to row, but noise.{key} says"
+                f" {declared / size:.2g}{space}{unit}"
+            )
+            findings.append(
+                Finding("noise", text, "note", f"should noise.{key} be {seen:.2g} {si}, or is a unit wrong?")
+            )
+    return findings
+
+
+def _clock_of_finger(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
+    """Clock of the finger relative to the object, from contact; empty if it does not show."""
+    lags = []
     speed = []
     pushes = 0
     for trial in dataset.trials:
@@ -304,25 +365,57 @@ def _clocks(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         if lag is not None:
             lags.append(lag)
             speed.append(_speed(trial))
-        if trial.ft_wrench is not None:
-            late += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
-    findings = []
-    if lags:
-        findings.append(_clock_of_finger(dataset, rows, lags, float(np.median(speed)), pushes))
-    if late:
-        force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
-        lag = lag_by_rises(late, force)
-        touches = f"± {1e3 * lag.error:.1f} ms, {len(late)} touches"
-        text = f"force {_late(lag.value)} relative to the touch, {touches}"
-        sure = lag.sure and abs(lag.value) > _FORCE_LATE
-        # A wrong outline, radius or frame also shifts the times of touch.
-        misplaced = any(one.advice and not one.advice.endswith(_SETUP) for one in findings)
-        advice = f"add {lag.value:.3f} s to the stamps of the force{_SETUP}" if sure and not misplaced else ""
-        findings.append(Finding("clock of the force", text, "note" if sure else "good", advice))
-    return findings
+    return [_lag_of_finger(dataset, rows, lags, float(np.median(speed)), pushes)] if lags else []
 
 
-def _clock_of_finger(
+def _clock_of_force(dataset: PushDataset, findings: Sequence[Finding]) -> list[Finding]:
+    """Clock of the force relative to object and finger, from touches; empty if there are none.
+
+    A wrong outline, radius or frame also shifts the times of touch, so that a delay calls for advice only if
+    no other finding doubts these. If the gap left while pushing would explain it too, both are told.
+    """
+    rises: list[Rise] = []
+    for trial in dataset.trials:
+        if trial.ft_wrench is not None and trial.has_finger and not trial.ends_only:
+            rises += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
+    if not rises:
+        return []
+    what = "clock of the force"
+    force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
+    lag = lag_by_rises([one.delay for one in rises], force)
+    touches = f"{len(rises)} touch{'es' if len(rises) > 1 else ''}"
+    text = f"force {_late(lag.value)} relative to the touch, ± {1e3 * lag.error:.1f} ms, {touches}"
+    if not lag.sure or abs(lag.value) <= _FORCE_LATE:
+        return [Finding(what, text, "good")]
+    if len(rises) < _FEWEST_LAGS:
+        return [Finding(what, f"{text}, too few to judge by", "note")]
+    explained = -float(np.median([one.explained for one in rises]))
+    looks_so = explained / lag.value > _EXPLAINED
+    doubted = [one.what for one in findings if _doubts_geometry(one)]
+    if looks_so:
+        doubted += [one.what for one in findings if one.what == "clock of the finger" and one.advice]
+    if doubted:
+        return [Finding(what, f"{text}, which may come from what is wrong with: {doubted[0]}", "note")]
+    if looks_so:
+        gap = float(np.median([one.gap for one in rises]))
+        apart = f"{1e3 * abs(gap):.1f} mm of {'air' if gap > 0.0 else 'depth'} while pushing"
+        size = "large" if gap < 0.0 else "small"
+        advice = (
+            f"is the outline, or finger.radius, about {1e3 * abs(gap):.1f} mm too {size}, is a frame wrong,"
+            f" or is the force {_late(lag.value)}? See which before you change the force's clock"
+        )
+        return [Finding(what, f"{text}; {apart} would look {_late(explained)}", "note", advice)]
+    return [Finding(what, text, "note", f"add {lag.value:.3f} s to the stamps of the force{_SETUP}")]
+
+
+def _doubts_geometry(finding: Finding) -> bool:
+    """Whether a finding doubts the outline, the finger or a frame."""
+    if not finding.advice or finding.advice.endswith(_SETUP) or finding.what.startswith(_NO_GEOMETRY):
+        return False
+    return finding.what != "reading" or "frame" in finding.advice
+
+
+def _lag_of_finger(
     dataset: PushDataset, rows: Sequence[ContactRows], lags: Sequence[Lag], speed: float, pushes: int
 ) -> Finding:
     """What the lags of some of the pushes come to.
@@ -389,7 +482,8 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     deep = depth > [one.allowed for one in rows]
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
     if air:
-        text += f", {round(1e3 * float(np.median(air)), 1) + 0.0:+.1f} mm of air while pushing"
+        middle = float(np.median(air))
+        text += f", {1e3 * abs(middle):.1f} mm of {'depth' if middle < -5e-5 else 'air'} while pushing"
     if deep.any():
         said = (text for text in dataset.warnings if not _mended(text) and _subject(text) == "contact")
         advice = next(said, None) or (
@@ -421,12 +515,20 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
                    for trial in forced])
     )  # fmt: skip
     if dataset.mass is not None:
-        share = pushing / (dataset.mass * dataset.gravity)
-        if not _LEAST_FRICTION < share < _MOST_FRICTION:
-            text = f"{pushing:.3g} N while pushing, {share:.2g} times the weight of {dataset.mass:.3g} kg"
-            findings.append(
-                Finding("force and mass", text, "wrong", "is the force in N, and object.mass in kg?")
+        weight = dataset.mass * dataset.gravity
+        each = [np.hypot(*trial.channels["ft_wrench"].values[:, :2].T) for trial in forced]
+        peak = float(np.median([one.max() for one in each]))
+        small = peak < _SELDOM_LESS * weight  # of taps, most rows hold no force
+        if small or pushing > _SELDOM_MORE * weight:
+            size = peak if small else pushing
+            share = size / weight
+            text = (
+                f"{'at most ' if small else ''}{size:.3g} N while pushing, {share:.2g} times the weight of"
+                f" {dataset.mass:.3g} kg"
             )
+            far = not _LEAST_FRICTION < share < _MOST_FRICTION
+            advice = "is the force in N, and object.mass in kg and right?"
+            findings.append(Finding("force and mass", text, "wrong" if far else "note", advice))
     if rest:
         bias = np.median([free[0] for free, _ in rest], axis=0)
         error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))
@@ -511,26 +613,29 @@ def _coasted(dataset: PushDataset, trial: Trial) -> bool:
         return False
     pose = trial.object_pose
     free = gaps(dataset, trial.tip_pose.at(pose.time), pose.values) > _AWAY
-    steps = np.hypot(*np.diff(pose.values[:, :2], axis=0).T)
     touched = np.flatnonzero(~free)
     if not len(touched):
         return False
-    after = np.arange(len(steps)) >= touched[0]
-    return bool(steps[after & free[1:] & free[:-1]].sum() > _COASTS)
+    free[: touched[0]] = False
+    edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0))
+    first, last = edges[::2], edges[1::2] - 1  # of each time without the finger
+    way = np.hypot(*(pose.values[last, :2] - pose.values[first, :2]).T)
+    # Noise of a resting object is no way, however long it lasts.
+    return bool(way[way > max(_AWAY, _STILL * pose_noise(dataset, pose)[0])].sum() > _COASTS)
 
 
 def _quantities(seen: Coverage) -> list[Told]:
     inertia = seen.fastest > _FAST or seen.coasting > 0
-    around = seen.arcs >= 3 and seen.turned > np.radians(10.0)
+    around = seen.arcs >= 3 and seen.turned > _TURNS
     return [
         Told("total friction", seen.forces or (seen.coasting > 0 and seen.mass_known),
              "force in steady sliding" if seen.forces else "needs force, or a weighed object that coasts"),
         Told("centre of friction", around,
              f"{seen.arcs} of 8 parts of the outline touched, turned {np.degrees(seen.turned):.0f}° at most"),
-        Told("friction arm", seen.turned > np.radians(10.0), "how far the object turns"),
+        Told("friction arm", seen.turned > _TURNS, "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
-        Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
+        Told("centre of mass, moment of inertia", inertia and seen.turned > _TURNS,
              f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
@@ -547,7 +652,7 @@ EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
     "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
     "tether": (lambda c: c.spread > 1.5 * c.size, "positions 1.5 object lengths apart"),
     "sensor_latency": (lambda c: c.speeds_differ or c.fastest > _FAST, "fast pushes, or two speeds"),
-    "tracker_offset": (lambda c: c.turned > np.radians(30.0) or c.arcs >= 3, "three sides, or large turns"),
+    "tracker_offset": (lambda c: c.turned > _TURNS_FAR or c.arcs >= 3, "three sides, or large turns"),
     "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "two sides, and long travel"),
     "friction_drift": (lambda c: c.pushes >= 8, "eight pushes in the order of the experiment"),
     "finger_compliance": (lambda c: c.forces, "force"),
@@ -557,8 +662,8 @@ EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
     "impulse_friction": (lambda c: c.table_octants >= 4, "four headings on the table"),
     "friction_diamond": (lambda c: c.table_octants >= 4, "four directions on the table"),
     "friction_square": (lambda c: c.table_octants >= 4, "four directions on the table"),
-    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
-    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turning"),
+    "slip_load": (lambda c: c.turned > _TURNS and c.arcs >= 3, "three sides, and turning"),
+    "torsional_friction": (lambda c: c.turned > _TURNS and c.arcs >= 3, "three sides, and turning"),
     "tracker_shift": (lambda c: c.arcs >= 3, "three sides"),
     "force_frame": (lambda c: c.forces and c.arcs >= 2, "force on two sides"),
     "force_bias": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
@@ -579,7 +684,7 @@ def _advice(seen: Coverage) -> list[str]:
         )
     if seen.arcs < 5:
         wanted.append(f"pushes on parts of the outline not touched yet ({_ARCS - seen.arcs} of {_ARCS})")
-    if seen.turned < np.radians(10.0):
+    if seen.turned < _TURNS:
         wanted.append("off-centre pushes that turn the object by 30° or more")
     if seen.table_octants < 4:
         wanted.append("pushes in other directions on the table, including opposite ones")

@@ -51,6 +51,7 @@ _FEWEST_AGREEING = 2  # recordings of a session
 _APPROACH = 5e-3  # m/s, lowest speed of a finger that touches
 _WAITS = 0.4  # s before the touch in which the object rests
 _PASSES = 0.04  # s around it in which the finger's path is straight
+_SOON = 1.0  # s after it in which the object moves
 
 
 class Lag(NamedTuple):
@@ -69,6 +70,22 @@ class Lag(NamedTuple):
     def contradicts(self, other: Lag) -> bool:
         """Whether the two lags are inconsistent."""
         return abs(self.value - other.value) > 3.0 * float(np.hypot(self.error, other.error))
+
+
+class Touch(NamedTuple):
+    """The finger reaches a resting outline and pushes it."""
+
+    time: float  # s, by geometry
+    approach: float  # speed at which the gap closes, m/s
+    gap: float  # usual gap while it then pushes, m, negative inside
+
+
+class Rise(NamedTuple):
+    """A force's rise at a touch."""
+
+    delay: float  # s after the touch; negative if it is early
+    explained: float  # of it by the gap left while pushing, if outline or finger are thicker or thinner, s
+    gap: float  # that gap, m, negative inside
 
 
 def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | None:
@@ -265,7 +282,7 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
     rises: list[float] = []
     for shift in _SHIFTS:  # forces that fall off late in a push mislead the correlation
         moved = Channel(force.time + coarse + shift, force.values)
-        there = [rise - touch for touch in touches if (rise := _rise(moved, touch)) is not None]
+        there = [rise - touch.time for touch in touches if (rise := _rise(moved, touch.time)) is not None]
         if len(there) > len(rises) and (shift == 0.0 or len(there) > 0.5 * len(touches)):
             rises = [rise - shift for rise in there]
     if not rises:
@@ -318,10 +335,13 @@ def _usual_forces(values: FloatArray) -> list[FloatArray]:
     return found
 
 
-def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
-    """Delay of the force's rise at each usable touch, s; negative if it is early."""
-    touched = _touches(setup, pose, tip)
-    return [rise - touch for touch in touched if (rise := _rise(force, touch)) is not None]
+def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[Rise]:
+    """The force's rise at each usable touch."""
+    return [
+        Rise(rise - touch.time, -touch.gap / touch.approach, touch.gap)
+        for touch in _touches(setup, pose, tip)
+        if (rise := _rise(force, touch.time)) is not None
+    ]
 
 
 def middle_of(values: Sequence[float]) -> tuple[float, float]:
@@ -344,17 +364,17 @@ def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
     return None if _touched(setup, pose, tip, moving, lag.value) is None else lag
 
 
-def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
-    """Times at which the finger reaches the outline and the object begins to move, s."""
+def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[Touch]:
+    """The touches at which the object begins to move."""
     gap = gaps(setup, tip.values, pose.at(tip.time))
     moving = np.interp(tip.time, pose.time, _moving(setup, pose).astype(float)) > 0.5
-    found = []
+    found: list[Touch] = []
     for row in np.flatnonzero((gap[1:] <= 0.0) & (gap[:-1] > 0.0)):
         touch = tip.time[row]
-        soon = (tip.time > touch) & (tip.time < touch + 1.0)
+        pushed = moving & (tip.time > touch) & (tip.time < touch + _SOON)
         waits = (pose.time > touch - _WAITS) & (pose.time < touch - 0.25 * _WAITS)
         way = np.flatnonzero((tip.time > touch - _PASSES) & (tip.time < touch + _PASSES))
-        if not moving[soon].any() or waits.sum() < 3 or len(way) < 4:
+        if not pushed.any() or waits.sum() < 3 or len(way) < 4:
             continue
         # Use the object's resting pose: its rows after the touch would hide the time of the touch.
         early, late = np.array_split(pose.values[waits], 2)
@@ -363,11 +383,11 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
         resting = np.median(pose.values[waits], axis=0)
         slope, level = np.polyfit(tip.time[way] - touch, gaps(setup, tip.values[way], resting), 1)
         if slope < -_APPROACH:
-            found.append(float(touch - level / slope))
-    kept: list[float] = []
-    for time in found:
-        if not kept or time > kept[-1] + 0.5:
-            kept.append(time)
+            found.append(Touch(float(touch - level / slope), -float(slope), float(np.median(gap[pushed]))))
+    kept: list[Touch] = []
+    for one in found:
+        if not kept or one.time > kept[-1].time + 0.5:
+            kept.append(one)
     return kept
 
 

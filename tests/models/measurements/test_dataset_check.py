@@ -10,7 +10,7 @@ from slipmap import Maps, Slider, candidate_pushes, cells_from_polygon, record_p
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.identification import identify
-from slipmap.models.measurements import Channel, DatasetError, Table, read_dataset, write_dataset
+from slipmap.models.measurements import Channel, DatasetError, Noise, Table, read_dataset, write_dataset
 from slipmap.models.measurements.dataset_check import EFFECT_NEEDS, check_dataset
 
 
@@ -63,6 +63,41 @@ def test_a_late_force_is_told_with_its_size():
     assert found.verdict == "note"
     assert check.headline == "The recording is usable, with a doubt about: clock of the force."
     assert float(found.found.split("force ")[1].split(" ms late")[0]) == pytest.approx(30.0, abs=6.0)
+
+
+def late_force(trial, seconds=0.03):
+    return replace(trial, ft_wrench=Channel(trial.ft_wrench.time + seconds, trial.ft_wrench.values))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_a_wrong_radius_is_told_beside_a_late_force(late):
+    dataset = straight_pushes(8)
+    trials = tuple(late_force(waited(trial), late) for trial in dataset.trials)
+    found = finding(
+        check_dataset(replace(dataset, finger_radius=RADIUS + 0.0024, trials=trials)), "clock of the force"
+    )
+    assert found.verdict == "note" and "2.4 mm of depth while pushing would look" in found.found
+    assert "finger.radius, about 2.4 mm too large" in found.advice and "add" not in found.advice
+
+
+def test_a_late_force_is_no_advice_where_contact_is_in_doubt():
+    dataset = straight_pushes(8)
+    late = [late_force(waited(trial)) for trial in dataset.trials]
+    inwards = dataset.trials[0].tip_pose.values[60, :2] - dataset.trials[0].tip_pose.values[0, :2]
+    late[0] = tipped(lambda tip: tip + 0.006 * inwards / np.hypot(*inwards))(late[0])
+    check = check_dataset(replace(dataset, trials=tuple(late)))
+    assert finding(check, "contact").advice
+    found = finding(check, "clock of the force")
+    assert found.verdict == "note" and not found.advice and "contact" in found.found
+
+
+def test_two_touches_are_too_few_for_advice():
+    dataset = straight_pushes(2)
+    check = check_dataset(
+        replace(dataset, trials=tuple(late_force(waited(trial)) for trial in dataset.trials))
+    )
+    found = finding(check, "clock of the force")
+    assert found.verdict == "note" and not found.advice and "2 touches, too few" in found.found
 
 
 def test_a_bias_is_told_with_its_size():
@@ -126,6 +161,63 @@ def test_force_and_mass_in_different_units_are_wrong(mass, wrong):
     check = check_dataset(replace(straight_pushes(8), mass=mass))
     assert check.wrong == wrong
     assert [one.verdict for one in check.findings if one.what == "force and mass"] == ["wrong"] * wrong
+
+
+@pytest.mark.parametrize("mass", [0.2, 12.0])
+def test_a_mass_that_contradicts_the_force_is_a_doubt(mass):
+    found = finding(check_dataset(replace(straight_pushes(8), mass=mass)), "force and mass")
+    assert found.verdict == "note" and "object.mass" in found.advice
+
+
+def noisy_pushes(declared):
+    rng = np.random.default_rng(0)
+
+    def noisy(trial):
+        pose = trial.object_pose.values + rng.normal(0.0, [2e-4, 2e-4, 2e-3], trial.object_pose.values.shape)
+        force = trial.ft_wrench.values + rng.normal(0.0, 0.05, trial.ft_wrench.values.shape)
+        return replace(
+            trial, object_pose=Channel(trial.object_pose.time, pose),
+            ft_wrench=Channel(trial.ft_wrench.time, force),
+        )  # fmt: skip
+
+    dataset = straight_pushes(8)
+    trials = tuple(noisy(waited(trial)) for trial in dataset.trials)
+    return replace(dataset, trials=trials, noise=declared)
+
+
+def test_noise_declared_too_small_is_told():
+    check = check_dataset(noisy_pushes(Noise(position=2e-5, angle=2e-4, force=0.005)))
+    texts = [one.found for one in check.findings if one.what == "noise" and one.verdict == "note"]
+    assert [text.split(" scatter")[0] for text in texts] == ["positions", "angles", "forces without contact"]
+    right = check_dataset(noisy_pushes(Noise(position=2e-4, angle=2e-3, force=0.05)))
+    assert right.headline == "The recording is sound."
+
+
+def test_noise_is_no_coasting():
+    assert check_dataset(noisy_pushes(Noise())).coverage.coasting == 0
+
+
+def test_sliding_without_the_finger_is_coasting():
+    def slides(trial):
+        time, pose = trial.object_pose.time, trial.object_pose.values
+        way = pose[60, :2] - pose[0, :2]
+        free = np.clip((time - 0.9) / 0.2, 0.0, 1.0)[:, None] * 0.01 * way / np.hypot(*way)
+        return replace(trial, object_pose=Channel(time, pose + np.column_stack([free, 0.0 * time])))
+
+    dataset = straight_pushes(8)
+    check = check_dataset(replace(dataset, trials=tuple(map(slides, dataset.trials))))
+    assert check.coverage.coasting == 8
+
+
+@pytest.mark.parametrize(
+    ("declared", "advice"), [(None, "rounded on export"), (1e-4, "0.00029 m or more"), (5e-4, "export")]
+)
+def test_rounded_poses_are_told(declared, advice):
+    dataset = straight_pushes(8)
+    trials = tuple(map(posed(lambda pose: np.round(pose / 1e-3) * 1e-3), dataset.trials))
+    check = check_dataset(replace(dataset, trials=trials, noise=Noise(position=declared)))
+    found = finding(check, "rounding")
+    assert found.found == "positions come in steps of 1 mm" and advice in found.advice
 
 
 def test_milliseconds_and_a_frozen_tracker_are_wrong():
@@ -218,6 +310,7 @@ def test_coverage_and_what_is_missing():
     assert not check.coverage.speeds_differ
     told = {one.name: one.could for one in (*check.quantities, *check.effects)}
     assert all(one.reason.startswith("needs ") != one.could for one in check.effects)
+    assert {type(one.could) for one in (*check.quantities, *check.effects)} == {bool}
     assert told["total friction"] and not told["stribeck_friction"]
     assert any("twice as fast" in wanted for wanted in check.advice)
     still = changed(posed(lambda pose: 0.0 * pose + pose[0]))
