@@ -6,6 +6,11 @@ variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the 
 is left, where it was measured beforehand, or, if it is the parameter of an effect, where its 90 % interval
 excludes the value at which the effect vanishes.
 
+Slow pushes reveal no more of mass than the load of each cell, mass times friction. With the prior of friction
+this already narrows total mass and moment of inertia, though nothing was learned of inertia. So these two must
+also keep less than a quarter of the variance that known loads leave: the length, squared, of the part of c
+orthogonal to the gradients of all loads, in a prior that knows neither mass nor maps.
+
 Hypotheses scatter by what pushes disagree about. Where the model is good, the fits allow for larger errors
 than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
 interval of a quantity that is shown follows from the scatter or from the posterior variance, averaged over
@@ -46,7 +51,8 @@ class Informed(NamedTuple):
 @dataclass(frozen=True)
 class _Measure:
     """A quantity as a function of maps: `log` if it is compared as a ratio, `share` if it lies in 0 to 1,
-    `given` if the dataset states it, so that it is never left open."""
+    `given` if the dataset states it, so that it is never left open, `inertial` if loads do not count as showing
+    it."""
 
     name: str
     unit: str
@@ -56,6 +62,7 @@ class _Measure:
     open: str
     share: bool = False
     given: bool = False
+    inertial: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,6 +115,7 @@ def quantities(
     variances = [_variances(measures, one) for one in informed]
     shares = np.array([one.share for one in informed])
     averages = shares @ [after for _, after in variances] / shares.sum()
+    left_by_loads = _left_by_loads(measures, prior, informed[0].fit.z)
     if prior.known is not None:
         free = MapPrior(prior.slider, prior.settings, prior.mass)
         open_widths = [g @ g for g in _gradients(measures, free, np.zeros(free.size))]
@@ -118,9 +126,11 @@ def quantities(
             measure = replace(
                 measure, given=True, shown=measure.shown if measure.given else "known beforehand"
             )
-        shown = bool(measure.given or after < SHOWN_SHARE * before)
+        narrowed = bool(measure.given or after < SHOWN_SHARE * before)
+        by_loads = measure.inertial and not measure.given and after >= SHOWN_SHARE * left_by_loads[place]
+        shown = narrowed and not by_loads
         values = measure.of(belief.maps)
-        more = _beyond(values, belief.probability, averages[place], measure.log) if shown else 0.0
+        more = _beyond(values, belief.probability, averages[place], measure.log) if narrowed else 0.0
         value, low, high = interval(values, belief.probability, log=measure.log, more=more)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
@@ -136,6 +146,19 @@ def _variances(measures: Sequence[_Measure], one: Informed) -> tuple[list[float]
     posterior = np.linalg.inv(one.fit.hessian[0] + np.eye(prior.size))
     gradients = _gradients(measures, prior, one.fit.z[0])
     return [float(g @ g) for g in gradients], [float(g @ posterior @ g) for g in gradients]
+
+
+def _left_by_loads(measures: Sequence[_Measure], prior: MapPrior, z: FloatArray) -> list[float]:
+    """Variances of the quantities if the load of every cell were known, but neither mass nor maps beforehand.
+
+    They are those of maps at coordinates (1, d).
+    """
+    free = MapPrior(prior.slider, prior.settings, None)
+    near = free.near(prior.maps(z))
+    of_loads = free.columns(free.maps(near))[0, : len(prior.slider.grid)].T
+    gradients = np.array(_gradients(measures, free, near[0])).T
+    left = gradients - of_loads @ np.linalg.lstsq(of_loads, gradients, rcond=None)[0]
+    return [float(variance) for variance in (left**2).sum(axis=0)]
 
 
 def _beyond(values: FloatArray, probability: FloatArray, variance: float, log: bool = False) -> float:
@@ -255,14 +278,14 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                  True, "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
                  "weighed beforehand" if weighed else "acceleration under a measured force", slow,
-                 given=weighed),
+                 given=weighed, inertial=True),
         *(
             _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
                      "friction and inertia follow the mass", slow)
             for i, axis in enumerate("xy")
         ),
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
-                 "rotation that speeds up or coasts", slow),
+                 "rotation that speeds up or coasts", slow, inertial=True),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
                  "the contact slides in some pushes", no_contact),
     ]  # fmt: skip
