@@ -6,10 +6,10 @@ variance cᵀ(H + I)⁻¹c. It counts as shown where less than a quarter of the 
 is left, where it was measured beforehand, or, if it is the parameter of an effect, where its 90 % interval
 excludes the value at which the effect vanishes.
 
-Slow pushes reveal no more of mass than the load of each cell, mass times friction. With the prior of friction
-this already narrows total mass and moment of inertia, though nothing was learned of inertia. So these two must
-also keep less than a quarter of the variance that known loads leave: the length, squared, of the part of c
-orthogonal to the gradients of all loads, in a prior that knows neither mass nor maps.
+Slow pushes reveal no more of mass than the load of each cell, mass times friction. With the prior of
+friction this already narrows total mass and moment of inertia, though nothing was learned of inertia. So
+these two must also keep less than a quarter of the variance that known loads leave: the squared length of the
+part of c orthogonal to the gradients of all loads, in a prior that knows neither mass nor maps.
 
 Hypotheses scatter by what pushes disagree about. Where the model is good, the fits allow for larger errors
 than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
@@ -39,6 +39,13 @@ from slipmap.models.physics.rollout import Maps, Slider
 SHOWN_SHARE = 0.25
 """A quantity that keeps less than this share of its prior variance counts as shown."""
 
+_FEW_WIDTHS = 1.25
+"""Widths of a cell; an object whose friction arm is shorter rests on too few cells to follow its base. The
+arm of three by three equal cells is 1.07 widths, that of four by four 1.53."""
+
+_SMALL_BASE = 0.5
+"""Share of the whole footprint's arm below which an object rests on a part of it."""
+
 
 class Informed(NamedTuple):
     """A fit, with its share of the belief."""
@@ -51,8 +58,8 @@ class Informed(NamedTuple):
 @dataclass(frozen=True)
 class _Measure:
     """A quantity as a function of maps: `log` if it is compared as a ratio, `share` if it lies in 0 to 1,
-    `given` if the dataset states it, so that it is never left open, `inertial` if loads do not count as showing
-    it."""
+    `given` if the dataset states it, so that it is never left open, `inertial` if loads do not count as
+    showing it."""
 
     name: str
     unit: str
@@ -214,6 +221,20 @@ def friction_arms(grid: CellGrid, maps: Maps) -> FloatArray:
     share = load / load.sum(axis=1, keepdims=True)
     from_center = grid.centers - (share @ grid.centers)[:, None]
     return np.asarray((share * np.hypot(*from_center.transpose(2, 0, 1))).sum(axis=1))
+
+
+def coarse_cells(belief: Belief) -> str | None:
+    """Evidence, as a clause, that cells are too coarse for the base that carries the object; else None."""
+    grid, width = belief.grid, belief.grid.width
+    arm = float(belief.probability @ friction_arms(grid, belief.maps))
+    whole = np.hypot(*(grid.centers - grid.centers.mean(axis=0)).T).mean()
+    if arm > min(_FEW_WIDTHS * width, _SMALL_BASE * whole):
+        return None
+    return (
+        f"friction acts only {1e3 * arm:.1f} mm from its centre on average, but cells are"
+        f" {1e3 * width:.1f} mm wide; give finer ones as `object.cells` of dataset.yaml (`width` and"
+        f" `centers`), as Python's `slipmap.cells_from_polygon(outline, width={width / 2.0:.2g})` makes them"
+    )
 
 
 def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:

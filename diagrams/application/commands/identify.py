@@ -266,6 +266,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         show_friction_laws,
         show_quantities,
     )
+    from slipmap.models.inference.identifiability import coarse_cells
 
     belief, fit = result.belief, len(dataset.fit_trials)
     some = belief.method != "paper" and belief.taught < fit
@@ -284,6 +285,8 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
             f"THE MODEL DOES NOT EXPLAIN THESE PUSHES: with the best maps, it is off by about"
             f" {100 * missed:.0f} % of the distance moved. {advice(where or 'DATASET')}"
         )
+    if coarse := coarse_cells(belief):
+        paragraph(f"THE CELLS ARE TOO COARSE FOR THIS OBJECT: {coarse}.")
     show_friction_laws(result.friction_laws)
     if result.share_of_known is not None:
         paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)

@@ -25,6 +25,8 @@ class Outcome:
     fault: str | None = None  # fault in the records that must be fixed before any effect can be identified
     # objections to effects that the open pushes favour, by name
     objections: Mapping[str, str] = field(default_factory=dict)
+    first: tuple[str, ...] = ()  # what to do before the answer is trusted, each an imperative clause
+    doubts: tuple[str, ...] = ()  # what `slipmap check` finds wrong with the dataset, where that matters
 
 
 def nothing_missing(base: Fitted) -> Outcome:

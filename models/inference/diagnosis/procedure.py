@@ -19,6 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -31,6 +32,7 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, open_trials, with_locked
+from slipmap.models.inference.diagnosis.other_causes import with_other_causes
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
 from slipmap.models.inference.diagnosis.results import (
@@ -157,6 +159,9 @@ def diagnose(
     misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
     if misfit is not None and outcome.verdict == "adequate":
         outcome = outcomes.far_off(inquiry.base, misfit)
+    after = locked_errors(learned[0]) if learned else None
+    free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)
+    outcome = with_other_causes(outcome, dataset, without, after, free_mass)
     return Diagnosis(
         **vars(outcome),
         candidates=tuple(inquiry.candidates(learned)),

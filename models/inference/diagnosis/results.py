@@ -132,6 +132,15 @@ class Diagnosis(Outcome):
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
             return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
+        step, first = self._step(where, again), list(self.first)
+        if self.doubts:
+            first.append(f"correct what `slipmap check {where}` finds wrong ({', '.join(self.doubts)})")
+        if not first:
+            return step
+        return f"{'; '.join(first)}; then run {again} again. If nothing can be corrected, {step}"
+
+    def _step(self, where: str, again: str) -> str:
+        """What follows from the verdict alone; `again` is the command of this diagnosis."""
         push = "record more pushes into the dataset (imported files: import all again)"
         if self.next_push is not None:
             push = (

@@ -187,6 +187,16 @@ def test_every_verdict_ends_with_a_command(tilted, verdict, command, capsys):
     assert ("imported" in told.next_step()) == (verdict in ("ambiguous", "undecided"))
 
 
+def test_what_may_be_wrong_with_the_dataset_comes_before_the_command(tilted):
+    _, found = tilted
+    sure = replace(found, quick=False)
+    doubted = replace(sure, first=("weigh the object",), doubts=("contact",))
+    assert doubted.next_step("my/pushes") == (
+        "weigh the object; correct what `slipmap check my/pushes` finds wrong (contact); then run `slipmap"
+        f" diagnose my/pushes` again. If nothing can be corrected, {sure.next_step('my/pushes')}"
+    )
+
+
 def test_every_key_of_the_json_is_documented(tilted):
     _, found = tilted
     section = (ROOT / "docs" / "diagnose.md").read_text().split("## JSON")[1].split("## Limits")[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -12,7 +13,11 @@ from refusals import files_in
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.summaries import middle_poses
-from slipmap.models.measurements import read_dataset
+from slipmap.models.measurements import read_dataset, write_dataset
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 
 def test_demo_leaves_a_dataset_a_belief_pictures_and_json(demo_folder):
@@ -149,3 +154,19 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
     assert ["even", "88%", "0%"] in rows
     np.testing.assert_allclose(document["ranks"]["centre of mass, x"], ranks["centre of mass, x"])
     assert cv2.imread(str(picture)).std() > 5
+
+
+def test_identify_says_where_cells_are_wider_than_the_base(slipmap, tmp_path):
+    """Pushes of a block that rests on a disc of 8 mm radius, learned with cells of 10 mm and of 5 mm."""
+    outline = [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]
+    fine, coarse = (cells_from_polygon(outline, width=width) for width in (0.005, 0.01))
+    rests = np.hypot(*(fine.centers - [0.012, -0.005]).T) < 0.008
+    maps = Maps(np.full((1, len(fine)), 1.0 / len(fine)), np.where(rests, 3.0, 1e-3)[None], np.array([0.3]))
+    rng = np.random.default_rng(0)
+    pushes = [candidate.push([0.0, 0.0, 0.0]) for candidate in candidate_pushes(fine, 0.006, rng, 6)]
+    dataset = record_pushes(Slider(fine, 0.006), maps, pushes, rng)
+    for grid, said in ((coarse, True), (fine, False)):
+        folder = write_dataset(replace(dataset, grid=grid), tmp_path / str(len(grid)))
+        found = slipmap("identify", folder, "-o", tmp_path / "b.npz", "--plain", "--hypotheses", 2)
+        assert found.code == 0, found.err
+        assert ("THE CELLS ARE TOO COARSE FOR THIS OBJECT" in found.out) is said

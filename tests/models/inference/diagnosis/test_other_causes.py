@@ -1,0 +1,96 @@
+"""What a diagnosis says where the dataset may be wrong rather than the physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.other_causes import doubts_of_check, with_other_causes
+from slipmap.models.inference.diagnosis.outcomes import Outcome
+from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.identifiability import coarse_cells
+from slipmap.models.measurements import Channel, PushDataset
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
+
+OUTLINE = [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]
+RADIUS, MASS = 0.006, 1.0
+
+
+@pytest.fixture(scope="module")
+def pushes() -> PushDataset:
+    """Pushes of a block of 1 kg, without any effect."""
+    grid = cells_from_polygon(OUTLINE)
+    n = len(grid)
+    maps = Maps(np.full((1, n), MASS / n), np.full((1, n), 0.3), np.array([0.25]))
+    rng = np.random.default_rng(1)
+    made = [
+        candidate.push([0.0, 0.0, rng.uniform(-3.0, 3.0)])
+        for candidate in candidate_pushes(grid, RADIUS, rng, 14, length=(0.04, 0.08))
+    ]
+    return record_pushes(Slider(grid, RADIUS), maps, made, rng, heldout=4, mass=MASS)
+
+
+def told(dataset: PushDataset, verdict: str, *effects: str, belief: object = None) -> Outcome:
+    answer = Outcome(verdict, "The verdict.", None, effects)
+    return with_other_causes(answer, dataset, SimpleNamespace(belief=belief), None, lambda: None)
+
+
+@pytest.mark.parametrize(("factor", "size"), [(1.2, "too large"), (0.8, "too small")])
+def test_a_wrong_radius_is_named_beside_what_looks_like_it(pushes, factor, size):
+    wrong = replace(pushes, finger_radius=factor * RADIUS)
+    found = told(wrong, "effect", "finger_compliance")
+    assert "finger.radius 6.0 mm rather than" in found.sentence and size in found.sentence
+    assert found.first and "measure the finger" in found.first[0]
+    assert not told(wrong, "effect", "table_tilt").first
+    assert not told(pushes, "effect", "finger_compliance").first
+    assert not told(wrong, "adequate").first
+
+
+def test_what_check_finds_wrong_comes_first(pushes):
+    def reversed_theta(trial):
+        pose = trial.object_pose
+        return replace(trial, object_pose=Channel(pose.time, pose.values * [1.0, 1.0, -1.0]))
+
+    wrong = replace(pushes, trials=tuple(map(reversed_theta, pushes.trials)))
+    assert "contact" in told(wrong, "undecided").doubts
+    assert told(wrong, "adequate").doubts == () and told(pushes, "undecided").doubts == ()
+    mended = replace(pushes, warnings=("trials/001.json, row 3: jumps; left out",))
+    assert doubts_of_check(mended) == ()
+    doubtful = replace(
+        pushes, warnings=("trials/001.json: holds the same as trials/002.json; is one a copy?",)
+    )
+    assert doubts_of_check(doubtful) == ("reading",)
+
+
+def test_a_wrong_mass_is_named_beside_the_effect_that_it_imitates(pushes):
+    effects = effects_named(["loose_mass", "table_tilt"])
+    found = diagnose(replace(pushes, mass=3.0), effects=effects, quick=True)
+    assert found.effects == ("loose_mass",)
+    assert "A wrong object.mass would look like loose_mass" in found.sentence
+    assert "instead of 3 kg" in found.sentence
+    assert "weigh the object" in found.next_step()
+
+
+def test_cells_wider_than_the_base_are_named_where_nothing_explains_the_pushes(pushes):
+    grid = pushes.grid
+
+    def believed(near: float) -> SimpleNamespace:
+        inside = np.hypot(*(grid.centers - [0.01, 0.0]).T) < near
+        mass = np.where(inside, 1.0, 1e-6)[None]
+        return SimpleNamespace(
+            grid=grid, maps=Maps(mass, np.full_like(mass, 0.3), np.ones(1)), probability=np.ones(1)
+        )
+
+    few = believed(0.009)
+    assert "cells are" in coarse_cells(few) and coarse_cells(believed(1.0)) is None
+    found = told(pushes, "unknown", belief=few)
+    assert "Cells that are too coarse would look like this too" in found.sentence
+    assert "finer cells" in found.first[0]
+    assert not told(pushes, "undecided", belief=few).first
