@@ -8,7 +8,7 @@ among all goals, whichever was the goal before. Waypoints matter if the straight
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -63,9 +63,18 @@ class Pursuit:
         """The history with one more push refused by the robot."""
         return replace(self, way=way, refused=(*self.refused, push), refusal=refusal)
 
-    def to_other_goals(self) -> Pursuit:
-        """The history where the goals were replaced: the pushes count, but served none of the new ones."""
-        return replace(self, way=None, served=(-1,) * len(self.served))
+    def to_other_goals(self, places: Mapping[int, int]) -> Pursuit:
+        """The history after goals were replaced; all pushes count.
+
+        Args:
+            places: new index, by the old one, of the goals that remain.
+        """
+        way = self.way if self.way is not None and self.way.goal in places else None
+        return replace(
+            self,
+            way=None if way is None else Way(places[way.goal], way.waypoints),
+            served=tuple(places.get(goal, -1) for goal in self.served),
+        )
 
     def left_out(self, patience: int) -> set[int]:
         """Goals that at least `patience` pushes have served."""

@@ -1,5 +1,6 @@
 """The true object in Drake: one rigid body on many small feet, each with its own friction."""
 
+from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
@@ -21,8 +22,7 @@ BODY = "object"  # name of the body and of the model instance's only link
 DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
-SINK = 2e-6  # depth to which every foot sinks in under the load of its cell, m
-_CLEARANCE = 1e-4  # m; between the table and the blocks, which the finger and the table's edge touch
+SINK = 2e-5  # depth to which every usual foot sinks in under the load of its cell, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _TABLE_STIFFNESS = 1e8  # N/m
@@ -31,15 +31,26 @@ _DISSIPATION = 20.0  # s/m
 # Four points on the diagonals at this distance from the centre (in cell widths) resist spinning like the
 # whole square: the mean distance of a square's points from its centre, (√2 + ln(1 + √2)) / 6.
 _FOOT_DISTANCE = (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6
-FOUR_FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
-"""Places of a cell's feet from its centre, in widths of a cell; so every cell resists spinning.
+_FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
 
-Feet are stiff because cells at the rim of a table may carry hundreds of times their weight: on feet that sink
-in by 20 µm, objects lean on their blocks there (docs/lab/station.md). With blocks higher than 0.1 mm they
-would lean over their last row of feet instead, inside the rim."""
 
-ONE_FOOT = np.zeros((1, 2))
-"""One foot at the centre. Several times faster, but a single cell does not resist spinning."""
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """How the cells of an object stand on the table."""
+
+    places: FloatArray  # (f, 2) of a cell's feet, from its centre, in widths of a cell
+    sink: float  # depth to which every foot sinks in under the load of its cell, m
+    clearance: float  # between the table and the blocks, which the finger and the table's edge touch, m
+
+
+FOUR = Feet(_FEET, SINK, 1e-4)
+"""The usual feet, on which every cell resists spinning."""
+
+STIFF = Feet(np.zeros((1, 2)), 2e-6, 3e-4)
+"""One foot for each cell. Several times faster, but a single cell does not resist spinning. Cells at the rim
+of a table may carry hundreds of times their weight, and on softer feet, or with lower blocks, an object leans
+on its blocks; with higher ones it falls off its last row of feet, half a cell from the rim. What rocks on
+stiff feet meets the wrong friction, as `lagged` contact computes it from the loads of the step before."""
 
 
 def plant_config(time_step: float) -> MultibodyPlantConfig:
@@ -121,7 +132,7 @@ def add_sliding_object(
     table_friction: float,
     finger_friction: float = FINGER_FRICTION,
     *,
-    feet: FloatArray = FOUR_FEET,
+    feet: Feet = FOUR,
 ) -> ModelInstanceIndex:
     """Add an object to the plant as a free body named "object", in a model instance of that name.
 
@@ -135,7 +146,7 @@ def add_sliding_object(
             `plant_config`. Its gravity determines the stiffness of the feet.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with that of the blocks it gives `mu_finger`.
-        feet: (f, 2) places of a cell's feet.
+        feet: on which it stands.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
@@ -146,9 +157,9 @@ def add_sliding_object(
     grid, gravity = true_object.grid, -float(plant.gravity_field().gravity_vector()[2])
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
-        wanted = mass * gravity / len(feet) / SINK
+        wanted = mass * gravity / len(feet.places) / feet.sink
         contact = _contact(wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted), foot_mu[cell])
-        for foot, place in enumerate(center + grid.width * feet):
+        for foot, place in enumerate(center + grid.width * feet.places):
             X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
             name_of_foot = f"cell_{cell}_foot_{foot}"
             foot_shapes.append(
@@ -157,7 +168,7 @@ def add_sliding_object(
                 )
             )
     contact = _contact(true_object.total_mass * gravity / _BLOCK_SINK, block_mu[0])
-    for index, points in enumerate(_block_corners(true_object)):
+    for index, points in enumerate(_block_corners(true_object, feet.clearance)):
         shape = geometry.Convex(points=points, label=f"{true_object.name} block {index}")
         block_shapes.append(
             plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", contact)
@@ -165,13 +176,13 @@ def add_sliding_object(
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
         plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
-    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0))
+    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0, sink=feet.sink))
     return instance
 
 
-def resting_pose(x: float, y: float, angle: float) -> RigidTransform:
+def resting_pose(x: float, y: float, angle: float, *, sink: float = SINK) -> RigidTransform:
     """X_WO of an object at rest on a level table: all feet carry their load, nothing moves."""
-    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -SINK]))
+    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -sink]))
 
 
 def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
@@ -204,12 +215,12 @@ def _share_round_table(
     Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
 
 
-def _block_corners(true_object: TrueObject) -> list[FloatArray]:
+def _block_corners(true_object: TrueObject, clearance: float) -> list[FloatArray]:
     result = []
     for block in true_object.blocks:
         for piece in convex_pieces(without_scan_noise(block.outline)):
             ring = np.asarray(piece.exterior.coords)[:-1].T
-            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (_CLEARANCE, block.height)]
+            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (clearance, block.height)]
             result.append(np.hstack(ends))
     return result
 

@@ -92,12 +92,13 @@ class _Procedure:
         rng = np.random.default_rng([self.seed, status.push, status.attempt])
         before = None if planning is None else planning.continued(status)
         if before is None or not belief.same_as(before.belief):
-            # Goals of an old belief may be places where the object falls.
-            pursuit = Pursuit() if before is None else before.pursuit.to_other_goals()
-            before = replace(self._begun(belief, seen, rng), pursuit=pursuit)
+            before = self._begun(belief, seen, rng, before)
         return self._planned(before, status.number, pose, seen, rng)
 
-    def _begun(self, belief: Belief, seen: SeenObject, rng: np.random.Generator) -> _Planning:
+    def _begun(
+        self, belief: Belief, seen: SeenObject, rng: np.random.Generator, before: _Planning | None
+    ) -> _Planning:
+        """Planning with a belief: the goals of before that are still goals, otherwise new ones."""
         truth = self.truth(seen) if self.method == "true" and self.truth is not None else None
         known = planning_belief(self.method, belief, rng, truth)
         thing = Graspable.of_belief(known, seen.cell_heights, self.settings.goals)
@@ -106,8 +107,13 @@ class _Procedure:
             active = ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights)
             return self.can_see(seen, goal.pose) and self.can_grasp(active)
 
-        goals = tuple(thing.sample_goals(self.table, rng, can_serve))
-        return _Planning(belief, known, thing, goals)
+        if before is None:
+            return _Planning(belief, known, thing, tuple(thing.sample_goals(self.table, rng, can_serve)))
+        again = thing.goals_at([goal.pose for goal in before.goals], self.table) if before.goals else []
+        kept = {old: goal for old, goal in enumerate(again) if goal is not None and can_serve(goal)}
+        goals = tuple(kept.values()) or tuple(thing.sample_goals(self.table, rng, can_serve))
+        pursuit = before.pursuit.to_other_goals({old: new for new, old in enumerate(kept)})
+        return _Planning(belief, known, thing, goals, pursuit)
 
     def _planned(
         self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
@@ -176,9 +182,9 @@ class GoalAndPushPlanner(PythonSystem):
     Outputs:
     - `plan`: `PregraspPlan | None`; it stays until the loop asks for another.
 
-    Goals are sampled for the first plan, and again when the belief changes. Without a worker, the simulation
-    waits while the block computes. The random draws for a plan depend only on the seed and its
-    number.
+    Goals are sampled for the first plan. When the belief changes, those stay that are goals by the new one,
+    or all are sampled again if none is. Without a worker, the simulation waits while the block computes. The
+    random draws for a plan depend only on the seed and its number.
 
     Args:
         method: one of `slipmap.planners.settings.METHODS`.

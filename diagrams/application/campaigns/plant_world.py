@@ -28,6 +28,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS
 
 TIME_STEP = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
+_FEET = sliding_object.STIFF
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _FINGER_EDGE = 1e-3  # m; height of the part of the finger that touches
 _AWAY = np.array([50.0, 50.0])
@@ -65,7 +66,7 @@ class PlantWorld(DirectWorld):
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
-        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, feet=sliding_object.ONE_FOOT)
+        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, feet=_FEET)
         self._finger = _add_finger(plant)
         plant.Finalize()
         if hidden is not None:
@@ -94,7 +95,7 @@ class PlantWorld(DirectWorld):
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
         x, y, angle = pose
-        X_WO = sliding_object.resting_pose(x, y, angle)
+        X_WO = sliding_object.resting_pose(x, y, angle, sink=_FEET.sink)
         self._plant.SetFreeBodyPose(self._context, self._body, X_WO)
         self._take_finger_away()
 

@@ -18,6 +18,7 @@ from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.rollout import Maps, Smoothing
+from slipmap.planners.push_decisions import Way
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
 from tests.planners.cell_world import TABLE, belief_about
 
@@ -115,12 +116,28 @@ def test_without_a_goal_it_says_why(options):
 def test_a_belief_with_another_effect_is_planned_with_anew():
     maps = replace(BELIEF.maps, effects=np.full((len(BELIEF), 2), 0.15))
     tilted = replace(BELIEF, maps=maps, effects=effects_named(["table_tilt"]))
-    planner = Planner()
-    planner.plan(5)
-    ours, theirs = planner.plan(6, belief=tilted), Planner().plan(6, belief=tilted)
-    assert (ours.push.push.end == theirs.push.push.end).all()
-    assert (ours.push.predicted == theirs.push.predicted).all()
-    assert (ours.push.predicted != Planner().plan(6).push.predicted).any()
+    plans = []
+    for belief in (tilted, BELIEF):
+        planner = Planner()
+        planner.plan(5)
+        plans.append(planner.plan(6, belief=belief).push)
+    assert (plans[0].predicted != plans[1].predicted).any()
+
+
+def test_goals_stay_where_a_new_belief_still_accepts_them():
+    procedure = GoalAndPushPlanner(SETTINGS, TABLE)._procedure
+    rng = np.random.default_rng(0)
+    first = procedure._begun(BELIEF, SEEN, rng, None)
+    way = Way(3, first.goals[3].pose[None])
+    first = replace(first, pursuit=first.pursuit.made(way))
+    shifted = replace(BELIEF, probability=np.array([0.4, 0.3, 0.2, 0.1]))
+    second = procedure._begun(shifted, SEEN, rng, first)
+    assert [list(goal.pose) for goal in second.goals] == [list(goal.pose) for goal in first.goals]
+    assert (second.pursuit.way.goal, second.pursuit.served) == (3, (3,))
+    # Without the first two goals the others move up, and pushes to those two serve none of the rest.
+    history = first.pursuit.made(Way(1, way.waypoints)).to_other_goals({3: 1, 4: 2})
+    assert (history.way, history.served) == (None, (1, -1))
+    assert history.left_out(1) == {1}
 
 
 def test_goals_follow_a_belief_that_changes_though_its_effects_do_not():
