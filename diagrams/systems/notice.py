@@ -72,7 +72,7 @@ def words_of(
         return Words(doing, *_found(found, belief, asks=exploring))
     if judged and doing:
         count = "The last push" if len(judged) == 1 else f"{len(judged)} pushes"
-        return Words(doing, "No surprise so far", f"{count} ended where the belief had predicted.")
+        return Words(doing, "No surprise so far", f"{count} ended within what the belief allowed.")
     return Words(doing, "", "") if doing else None
 
 
