@@ -11,7 +11,8 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Channel, DatasetError, Noise, Table, read_dataset, write_dataset
-from slipmap.models.measurements.dataset_check import EFFECT_NEEDS, check_dataset
+from slipmap.models.measurements.dataset_check import check_dataset
+from slipmap.models.measurements.what_pushes_show import EFFECT_NEEDS
 
 
 def waited(trial):
