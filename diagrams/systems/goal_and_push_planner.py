@@ -98,7 +98,7 @@ class _Procedure:
     def _begun(
         self, belief: Belief, seen: SeenObject, rng: np.random.Generator, before: _Planning | None
     ) -> _Planning:
-        """Planning with a belief: the goals of before that are still goals, otherwise new ones."""
+        """Planning with a belief: goals of before that are still goals and not given up, else new ones."""
         truth = self.truth(seen) if self.method == "true" and self.truth is not None else None
         known = planning_belief(self.method, belief, rng, truth)
         thing = Graspable.of_belief(known, seen.cell_heights, self.settings.goals)
@@ -110,7 +110,13 @@ class _Procedure:
         if before is None:
             return _Planning(belief, known, thing, tuple(thing.sample_goals(self.table, rng, can_serve)))
         again = thing.goals_at([goal.pose for goal in before.goals], self.table) if before.goals else []
-        kept = {old: goal for old, goal in enumerate(again) if goal is not None and can_serve(goal)}
+        left_out = before.pursuit.left_out(self.settings.patience)
+        kept = {
+            old: goal
+            for old, (one, goal) in enumerate(zip(before.goals, again, strict=True))
+            if goal is not None and old not in left_out
+            and (_same_place(one.grasp, goal.grasp) or can_serve(goal))
+        }  # fmt: skip
         goals = tuple(kept.values()) or tuple(thing.sample_goals(self.table, rng, can_serve))
         pursuit = before.pursuit.to_other_goals({old: new for new, old in enumerate(kept)})
         return _Planning(belief, known, thing, goals, pursuit)

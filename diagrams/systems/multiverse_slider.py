@@ -87,7 +87,8 @@ class MultiverseSlider(PythonSystem):
         push: abstract, None or something with a `push_id`, such as an `ActivePush`.
         trials: abstract, tuple of the `Trial`s recorded so far. Their number is the place of the present push
             in the experiment, on which effects such as `friction_drift` depend, and by which a `ModelMonitor`
-            knows which trial these hypotheses predict.
+            knows which trial these hypotheses predict. So a push must begin after the trial of the one before
+            is recorded.
 
     When the number of `push` changes, all hypotheses of the `belief` are placed at rest at the object's
     observed pose; they then evolve separately until the next push.

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from slipmap.diagrams.systems.diagnosis import TRIED, Finding, Repair
 from slipmap.diagrams.systems.look import INK, styled
 from slipmap.diagrams.systems.loop_messages import LoopStatus
-from slipmap.diagrams.systems.model_monitor import Watch
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.effect_words import effect_of_belief
 from slipmap.models.inference.end_region import beyond_in_millimetres
@@ -71,9 +71,18 @@ def words_of(
         exploring = status is None or status.of > 0  # pushes towards the edge are not chosen to find out more
         return Words(doing, *_found(found, belief, asks=exploring))
     if judged and doing:
-        count = "The last push" if len(judged) == 1 else f"{len(judged)} pushes"
-        return Words(doing, "No surprise so far", f"{count} ended within what the belief allowed.")
+        return Words(doing, *_unexamined(judged, alarm=watch is not None and watch.alarm))
     return Words(doing, "", "") if doing else None
+
+
+def _unexamined(judged: Sequence[Judged], *, alarm: bool) -> tuple[str, str]:
+    """Heading and reason where the last push did not surprise and nothing was diagnosed."""
+    surprising = sum(push.surprising for push in judged)
+    if alarm or surprising:
+        heading = "The alarm is still on" if alarm else "The last push did not surprise"
+        return heading, f"{surprising} of {len(judged)} pushes ended outside what the belief allowed."
+    count = "The last push" if len(judged) == 1 else f"{len(judged)} pushes"
+    return "No surprise so far", f"{count} ended within what the belief allowed."
 
 
 def _doing(status: LoopStatus) -> str:

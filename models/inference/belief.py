@@ -189,7 +189,7 @@ class Belief:
         return self if table == self.table else replace(self, table=table)
 
     def same_as(self, other: Belief | None) -> bool:
-        """Whether another belief has the same hypotheses and effects, as a copy of this one has."""
+        """Whether another belief about the same object has the same hypotheses and effects, as a copy has."""
         if other is None or self is other:
             return self is other
         names = [[effect.name for effect in one.effects] for one in (self, other)]

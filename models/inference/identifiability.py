@@ -156,11 +156,11 @@ def _variances(measures: Sequence[_Measure], one: Informed) -> tuple[list[float]
 
 
 def _left_by_loads(measures: Sequence[_Measure], prior: MapPrior, z: FloatArray) -> list[float]:
-    """Variances of the quantities if the load of every cell were known, but neither mass nor maps beforehand.
+    """Variances of the quantities if the load of every cell were known, but no maps beforehand.
 
     They are those of maps at coordinates (1, d).
     """
-    free = MapPrior(prior.slider, prior.settings, None)
+    free = MapPrior(prior.slider, prior.settings, prior.mass)
     near = free.near(prior.maps(z))
     of_loads = free.columns(free.maps(near))[0, : len(prior.slider.grid)].T
     gradients = np.array(_gradients(measures, free, near[0])).T

@@ -47,3 +47,25 @@ def test_calls_within_calls_and_in_threads_leave_the_limit_to_the_outermost(two_
         raise ZeroDivisionError
     assert seen == [{1}, {1}, {1}]
     assert threads() == {2}
+
+
+def test_calls_that_overlap_in_threads_leave_the_limit_to_the_last(two_threads):
+    inside, leave, seen = threading.Event(), threading.Event(), []
+
+    def other():
+        with one_blas_thread():
+            inside.set()
+            leave.wait(10)
+            seen.append(threads())
+
+    thread = threading.Thread(target=other)
+    with one_blas_thread():
+        thread.start()
+        inside.wait(10)
+    leave.set()
+    thread.join()
+    assert seen == [{1}]
+    assert threads() == {2}
+    with one_blas_thread():
+        assert threads() == {1}
+    assert threads() == {2}

@@ -64,6 +64,14 @@ def test_a_surprise_is_said_with_its_size_until_a_diagnosis_has_examined_it():
     assert not after.alarming and after.reason == "In a sentence."
 
 
+def test_a_surprise_is_not_forgotten_where_nothing_examines_it():
+    calm = replace(USUAL, alarm=True)
+    cases = (((OFF, calm), "The alarm is still on"), ((OFF, USUAL), "The last push did not surprise"))
+    for judged, heading in cases:
+        said = words_of(EXPLORING, watch(*judged), None, None)
+        assert said.heading == heading and said.reason.startswith("1 of 2 pushes ended outside")
+
+
 @pytest.mark.parametrize(
     ("verdict", "action", "before", "after"),
     [
