@@ -98,14 +98,13 @@ def _doing(status: LoopStatus) -> str:
 def _found(found: Finding, belief: Belief | None, *, asks: bool) -> tuple[str, str]:
     """Heading and reason of a finding, with the sizes of effects once the belief has them."""
     action = "goes on without" if found.action == "pushes on" and not asks else found.action
-    did, names = _DID[action], " and ".join(found.effects)
-    known = set() if belief is None else {effect.name for effect in belief.effects}
-    sizes: list[str] = []
-    if belief is not None and set(found.effects) <= known:
-        sizes = [size for name in found.effects for size in effect_of_belief(name, belief)]
-    if names and ":" not in did:
+    did, sizes = _DID[action], []
+    if action in ("adopts", "keeps") and found.effects:
+        known = set() if belief is None else {effect.name for effect in belief.effects}
+        if belief is not None and set(found.effects) <= known:
+            sizes = [size for name in found.effects for size in effect_of_belief(name, belief)]
         short = len(found.effects) == 1 and sizes and len(f"{did}: {sizes[0]}") <= _HEADING
-        did = f"{did}: {sizes[0] if short else names}"
+        did = f"{did}: {sizes[0] if short else ' and '.join(found.effects)}"
     told = f"{', '.join(sizes)}. " if sizes else ""
     if found.telling and asks:
         return did, f"The next push tells {found.telling}."

@@ -227,7 +227,7 @@ def rounding_steps(tracks: Sequence[FloatArray]) -> FloatArray:
 
 
 def _step(tracks: Sequence[FloatArray]) -> float:
-    """Common step of which the spacings of distinct values of a track are multiples; 0 without one."""
+    """Step by which the values of all tracks differ, a whole number of times; 0 if there is none."""
     spacings = np.concatenate([np.diff(np.unique(track)) for track in tracks] or [np.zeros(0)])
     spacings = spacings[spacings > _RESOLUTION]
     if len(spacings) < _FEWEST_SPACINGS:

@@ -88,6 +88,14 @@ def test_effects_are_given_by_name_and_by_size_once_it_is_known(verdict, action,
         assert (said.heading, said.reason) == wanted
 
 
+@pytest.mark.parametrize(
+    ("action", "heading"), [("drops", "Dropped again"), ("goes on without", "Nothing to add to the model")]
+)
+def test_effects_that_the_model_has_anyway_are_not_said_to_be_dropped(action, heading):
+    said = words_of(EXPLORING, watch(USUAL), repaired("unknown", action, TILT), tilted())
+    assert (said.heading, said.reason) == (heading, "In a sentence.")
+
+
 def test_the_next_push_tells_models_apart():
     repair = repaired("undecided", "pushes on", telling="table_tilt from tether")
     said = words_of(EXPLORING, watch(USUAL), repair, None)
