@@ -132,12 +132,13 @@ class Diagnosis(Outcome):
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
             return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
-        step, first = self._step(where, again), list(self.first)
-        if self.doubts:
-            first.append(f"correct what `slipmap check {where}` finds wrong ({', '.join(self.doubts)})")
-        if not first:
-            return step
-        return f"{'; '.join(first)}; then run {again} again. If nothing can be corrected, {step}"
+        return _after(self.corrections(where), again, self._step(where, again))
+
+    def corrections(self, where: str = "DATASET") -> list[str]:
+        """What to correct or rule out before the answer is trusted, each an imperative clause."""
+        if not self.doubts:
+            return list(self.first)
+        return [*self.first, f"correct what `slipmap check {where}` finds wrong ({', '.join(self.doubts)})"]
 
     def _step(self, where: str, again: str) -> str:
         """What follows from the verdict alone; `again` is the command of this diagnosis."""
@@ -202,6 +203,7 @@ class Diagnosis(Outcome):
             "motion_error": self.motion_error,
             "force_error": self.force_error,
             "next_push": self.next_push,
+            "first": self.corrections(where),
             "next_step": self.next_step(where),
             "calibrated": not self.quick,
             "seconds": self.seconds,
@@ -282,6 +284,8 @@ class JointDiagnosis:
     p_value: float | None  # of the largest first gain
     datasets: tuple[DatasetResult, ...]
     fall: float | None  # drop in cost of all locked pushes with the best effect, nats
+    # what `slipmap check` finds wrong, by the name of the dataset; empty where the model is adequate
+    doubts: dict[str, tuple[str, ...]]
     seconds: float
     seed: int
 
@@ -292,6 +296,18 @@ class JointDiagnosis:
 
     def next_step(self, where: str = "DATASET...") -> str:
         """What to do next, with the command to type; `where` names the datasets in that command."""
+        return _after(self.corrections(), f"`slipmap diagnose {where}`", self._step(where))
+
+    def corrections(self) -> list[str]:
+        """What to correct before the answer is trusted, each an imperative clause."""
+        return [
+            f"correct what `slipmap check` finds wrong with {name} ({', '.join(found)})"
+            for name, found in self.doubts.items()
+            if found
+        ]
+
+    def _step(self, where: str) -> str:
+        """What follows from the verdict alone."""
         if self.effect is not None:
             of_library = any(self.effect == effect.name for effect in LIBRARY)
             more = "" if of_library else " --effect-file FILE"
@@ -312,6 +328,7 @@ class JointDiagnosis:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "first": self.corrections(),
             "next_step": self.next_step(where),
             "effect": self.effect,
             "effects": list(self.effects),
@@ -354,6 +371,13 @@ class JointIdentification:
             "seconds": self.seconds,
             "seed": self.seed,
         }
+
+
+def _after(first: Sequence[str], again: str, step: str) -> str:
+    """A step to take after other things, if there are any, and the command that is to be run again."""
+    if not first:
+        return step
+    return f"{'; '.join(first)}; then run {again} again. If nothing can be corrected, {step}"
 
 
 def _by_effect(estimates: Sequence[ParameterEstimate]) -> dict[str, dict[str, dict[str, Any]]]:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import get_args
 
@@ -32,8 +32,9 @@ from numpy.typing import NDArray
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials, open_trials, with_locked
+from slipmap.models.inference.diagnosis.judged_together import Ground, Judged
+from slipmap.models.inference.diagnosis.locked import LockedErrors, with_locked
+from slipmap.models.inference.diagnosis.other_causes import doubts_of_check
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
     JointCandidate,
@@ -41,18 +42,13 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
     ParameterEstimate,
 )
-from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.fewer_cells import with_fewer_cells
 from slipmap.models.inference.identification import check_request, learn, named
 from slipmap.models.inference.mixture import EffectsGiven
-from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
-from slipmap.models.inference.prediction import predicted_motion
-from slipmap.models.inference.prior import MapPrior
-from slipmap.models.inference.push_errors import errors
-from slipmap.models.inference.together import JointFit, Taught, Together, between, is_shared
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.together import JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, part_of, silent
 
 _REFITTED = 8
@@ -220,63 +216,6 @@ def _far_ahead(evidence: Mapping[str, float]) -> str | None:
     return first if evidence[first] >= least else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """One dataset, fitted without effects, with its locked pushes."""
-
-    taught: Taught
-    locked: Sequence[Observation]
-    whole: bool
-
-    def judged(self, prior: MapPrior, z: FloatArray, seed: int) -> tuple[LockedErrors, FloatArray] | None:
-        """Errors and costs (L,) of the locked pushes at coordinates z (d,); None without locked pushes."""
-        if not self.locked:
-            return None
-        dataset, slider = self.taught.dataset, prior.slider
-        belief = Belief.learned(
-            dataset, slider, prior.maps(z[None]), np.ones(1), method="gauss-newton", seed=seed,
-            trials=[o.trial for o in self.taught.observations], settings={},
-        )  # fmt: skip
-        noise = sensor_noise(dataset)
-        found = [
-            errors(o, motion.middle_poses, motion.mean_forces, dataset.grid, noise)
-            for o, motion in zip(self.locked, predicted_motion(belief, self.locked), strict=True)
-        ]
-        return LockedErrors.of(found), self.taught.costs(self.locked, prior, z)
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A model with effects that the locked pushes have judged."""
-
-    fit: JointFit
-    after: list[LockedErrors | None]  # of each dataset
-    falls: list[float]  # drop in cost of each dataset's locked pushes, nats
-    held: list[Maps]  # best maps of each dataset with the effects held, one hypothesis
-    score: float  # evidence from the open pushes plus drop in cost of the locked ones, nats
-
-    @property
-    def name(self) -> str:
-        """The effects."""
-        return " and ".join(effect.name for effect in self.fit.effects)
-
-    @property
-    def pronoun(self) -> str:
-        """The effects in a sentence."""
-        return "it" if len(self.fit.effects) == 1 else "them"
-
-    @property
-    def fall(self) -> float:
-        """Drop in cost of all locked pushes, nats."""
-        return sum(self.falls)
-
-    @property
-    def falls_in_most(self) -> bool:
-        """Whether the cost drops in more than half of the datasets that have locked pushes."""
-        judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
-        return sum(fall > 0.0 for fall in judging) > len(judging) / 2
-
-
 class _Inquiry:
     """The steps of one diagnosis."""
 
@@ -295,14 +234,15 @@ class _Inquiry:
         whole = rng.choice(count, count // _WHOLE_FROM, replace=False)
         stage = partial(report, "fitting without effects")
         self.grounds = [
-            _ground(dataset, k in whole, rng, part_of(stage, k, count)) for k, dataset in enumerate(datasets)
+            Ground.of(dataset, k in whole, rng, part_of(stage, k, count))
+            for k, dataset in enumerate(datasets)
         ]
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
         self.fits: dict[str, JointFit] = {}  # of single effects, by name
         self.starts: dict[str, FloatArray] = {}  # their parameters to start from
-        self.judged: dict[str, _Judged] = {}  # those that the locked pushes have judged
+        self.judged: dict[str, Judged] = {}  # those that the locked pushes have judged
 
     def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
@@ -325,7 +265,7 @@ class _Inquiry:
         ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
-        judged: list[_Judged] = []
+        judged: list[Judged] = []
         for step, name in enumerate(asked):
             try:
                 judged.append(self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked))))
@@ -478,7 +418,7 @@ class _Inquiry:
         nulls = np.concatenate([effect.nulls for effect in fit.effects])
         return np.where(self._shared(fit.effects), fit.values(0), nulls)
 
-    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
+    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> Judged:
         """Errors on the locked pushes, with every object's maps refitted and the effects held.
 
         Effects are looked for under the α of the model without them; judged and reported is the refined fit.
@@ -494,9 +434,9 @@ class _Inquiry:
             after.append(None if now is None else now[0])
             falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
             held.append(prior.maps(z[None]))
-        return _Judged(fit, after, falls, held, evidence + sum(falls))
+        return Judged(fit, after, falls, held, evidence + sum(falls))
 
-    def _objection(self, one: _Judged) -> str:
+    def _objection(self, one: Judged) -> str:
         """Why the locked pushes or its interval speak against a model with effects."""
         if all(errors is None for errors in one.after):
             nothing = f"no pushes were locked away that could judge {one.pronoun}"
@@ -514,7 +454,7 @@ class _Inquiry:
         own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
         return f"{own} includes the value without the effect"
 
-    def _there(self, one: _Judged) -> bool:
+    def _there(self, one: Judged) -> bool:
         """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is
         not shared."""
         estimates = {(e.effect, e.name): e for e in self._estimates(one)}
@@ -525,7 +465,7 @@ class _Inquiry:
 
         return all(stands(effect) for effect in one.fit.effects if is_shared(effect, self.apart))
 
-    def _estimates(self, one: _Judged) -> tuple[ParameterEstimate, ...]:
+    def _estimates(self, one: Judged) -> tuple[ParameterEstimate, ...]:
         """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
         values, deviations = one.fit.values(0), one.fit.deviations(0)
         shared = self._shared(one.fit.effects)
@@ -537,7 +477,7 @@ class _Inquiry:
         every = _intervals(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
 
-    def _by_dataset(self, best: _Judged | None) -> tuple[DatasetResult, ...]:
+    def _by_dataset(self, best: Judged | None) -> tuple[DatasetResult, ...]:
         """Each dataset with and without the effects of a model."""
         results = []
         for k, ground in enumerate(self.grounds):
@@ -560,7 +500,7 @@ class _Inquiry:
         return tuple(results)
 
     def _answer(
-        self, kept: Sequence[_Judged], judged: Sequence[_Judged], candidates: tuple[JointCandidate, ...]
+        self, kept: Sequence[Judged], judged: Sequence[Judged], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
         names = tuple(one.name for one in kept)
         best = kept[0] if kept else None
@@ -590,16 +530,10 @@ class _Inquiry:
         return JointDiagnosis(
             verdict, sentence, names, shared, tuple(p for one in kept for p in self._estimates(one)),
             candidates, next((c.p_value for c in candidates if c.first_gain == largest), None),
-            self._by_dataset(best), None if best is None else best.fall, 0.0, self.seed,
+            self._by_dataset(best), None if best is None else best.fall,
+            {} if verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
+            0.0, self.seed,
         )  # fmt: skip
-
-
-def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progress: StageProgress) -> _Ground:
-    locked = locked_trials(dataset, rng)
-    trials = to_learn_from(open_trials(dataset, locked))
-    taught = Taught.of(with_fewer_cells(dataset), observe_all(dataset, trials), progress)
-    judging = [trial for trial in dataset.trials if trial.name in locked]
-    return _Ground(taught, observe_all(dataset, judging), whole)
 
 
 def _intervals(

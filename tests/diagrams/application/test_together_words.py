@@ -50,7 +50,7 @@ def made(*falls, verdict="effect"):
     )
     return JointDiagnosis(
         verdict, "A sentence.", ("sensor_latency",) if named else (), named, lag, candidates, 0.005, datasets,
-        sum(falls) if named else None, 1.0, 0,
+        sum(falls) if named else None, {"set 0": (), "set 1": ("frame", "clock")} if named else {}, 1.0, 0,
     )  # fmt: skip
 
 
@@ -68,6 +68,18 @@ def test_paths_are_quoted_and_the_file_of_an_own_effect_is_asked_for():
     own = dataclasses.replace(made(4.0, 5.0), effects=("mine",))
     assert "--effect mine --effect-file FILE -o" in own.next_step()
     assert "--effect-file" not in made(4.0, 5.0).next_step()
+
+
+def test_what_check_finds_wrong_with_any_of_the_datasets_comes_first():
+    wrong = "correct what `slipmap check` finds wrong with set 1 (frame, clock)"
+    found = made(4.0, 5.0)
+    assert found.next_step("A B").startswith(
+        f"{wrong}; then run `slipmap diagnose A B` again. If nothing can"
+    )
+    assert found.to_json()["first"] == [wrong]
+    sound = dataclasses.replace(found, doubts={"set 0": (), "set 1": ()})
+    assert sound.next_step("A B").startswith("run `slipmap fit A B --effect sensor_latency -o")
+    assert sound.to_json()["first"] == []
 
 
 def test_a_failed_refit_is_not_taken_for_an_effect_behind_others():

@@ -32,7 +32,8 @@ def late(dataset, latency, name):
 
 @pytest.fixture(scope="module")
 def pair(recorded):
-    short = dataclasses.replace(recorded.dataset, trials=recorded.dataset.trials[2:])
+    copied = "trials/001.json: holds the same as trials/002.json; is one a copy?"
+    short = dataclasses.replace(recorded.dataset, trials=recorded.dataset.trials[2:], warnings=(copied,))
     return [late(recorded.dataset, 0.03, "first"), late(short, 0.03, "second")]
 
 
@@ -61,6 +62,7 @@ def test_a_lag_that_two_datasets_share_is_named(diagnosed):
     assert latency.low < 0.03 < latency.high and latency.high - latency.low < 0.02
     assert [one.name for one in found.datasets] == ["first", "second"] and found.fall > 3.0
     assert all(one.after.path.mean() < one.before.path.mean() and one.fall > 0.0 for one in found.datasets)
+    assert found.doubts == {"first": (), "second": ("reading",)}
     document = found.to_json()
     assert document["effect"] == "sensor_latency" and len(document["candidates"]) == len(EFFECTS)
 
@@ -156,6 +158,7 @@ def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_lock
         [dataclasses.replace(few, name=str(k)) for k in range(4)], effects=EFFECTS[:2], apart=["table"]
     )
     assert found.verdict == "adequate" and found.effects == () and found.parameters == ()
+    assert found.doubts == {}
     assert [one.whole for one in found.datasets].count(True) == 1
     assert all(one.after is None and one.fall is None for one in found.datasets)
 
