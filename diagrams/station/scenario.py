@@ -10,7 +10,7 @@ import difflib
 import reprlib
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -170,6 +170,12 @@ class TableSettings:
     # of the table's own surface; the object's friction with it is set by the object, but must be below twice
     # this
     friction: float = 0.6
+
+    @staticmethod
+    def check_keys(keys: Collection[str]) -> None:
+        """Raise ValueError for a size alone: even the default one would leave the table round."""
+        if "size" in keys and "shape" not in keys:
+            raise ValueError("table.size is of a rectangular table; write shape: rectangle beside it")
 
     def check(self) -> None:
         """Raise ValueError for an invalid field."""
@@ -459,3 +465,8 @@ def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
             hint = f"did you mean {near[0]}? Known" if near else "known"
             raise ScenarioError(f"{path}: unknown field {full}; {hint} here: {', '.join(known)}")
         _check(item, known[name], path, full)
+    if hasattr(wanted, "check_keys"):
+        try:
+            wanted.check_keys(value.keys())
+        except ValueError as error:
+            raise ScenarioError(f"{path}: {error}") from error

@@ -120,7 +120,12 @@ A_MESH, AN_IMAGE = "mesh: a.obj, mass: 1.0, mu: 0.3", "labels: b.png"
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("table: {size: [0.6, 0.4]}", ["table.size is [0.6, 0.4]", "shape is round", "shape: rectangle"]),
+        ("table: {size: [0.6, 0.4]}", ["table.size", "shape: rectangle"]),
+        ("table: {size: [1.2, 0.8]}", ["table.size", "shape: rectangle"]),
+        (
+            "table: {shape: round, size: [0.6, 0.4]}",
+            ["table.size is [0.6, 0.4]", "shape is round", "shape: rectangle"],
+        ),
         (
             "table: {shape: rectangle, radius: 0.3}",
             ["table.radius is 0.3", "shape is rectangle", "shape: round"],
@@ -261,7 +266,7 @@ def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kin
         ("object: {frictions: {'²': 1.0}}", ["object", "frictions", "'²'"]),
         ("object: {masses: {'1234567890': 1.0}}", ["object", "masses", "'1234567890'"]),
         ("table: {shape: oval}", ["table.shape", "round", "rectangle", "'oval'"]),
-        ("table: {size: [1.0]}", ["table", "size", "[1.0]"]),
+        ("table: {shape: rectangle, size: [1.0]}", ["table", "size", "[1.0]"]),
         ("table: {radius: .inf}", ["table", "radius", "inf"]),
         ("table: {friction: 0}", ["table.friction", "0"]),
         ("arm: {models: lego}", ["arm.models", "primitives", "drake_models", "'lego'"]),
