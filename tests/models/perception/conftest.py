@@ -1,6 +1,7 @@
 """A camera over a table with boxes on it: exact pictures, from rays that meet boxes, without a renderer."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -18,13 +19,20 @@ class Scene:
 
     def __init__(self, X_WC: Sequence[Sequence[float]] = ABOVE) -> None:
         self.view = View(PinholeCamera(640, 480, 492.0, 492.0, 319.5, 239.5), np.array(X_WC))
+        self.rays = self.view.rays.astype(float)
+
+    @cache  # noqa: B019, the scenes live as long as the tests
+    def table(self, radius: float) -> np.ndarray:
+        """The empty table."""
+        start = self.view.p_WC
+        depth = -start[2] / self.rays[..., 2]
+        ground = start + depth[..., None] * self.rays
+        depth[np.hypot(ground[..., 0], ground[..., 1]) > radius] = np.inf
+        return depth
 
     def depth(self, boxes: Sequence[Box], pose: Sequence[float], table_radius: float = 0.5) -> np.ndarray:
-        rays = self.view.rays.astype(float)
-        start = self.view.p_WC
-        depth = -start[2] / rays[..., 2]
-        ground = start + depth[..., None] * rays
-        depth[np.hypot(ground[..., 0], ground[..., 1]) > table_radius] = np.inf
+        rays, start = self.rays, self.view.p_WC
+        depth = self.table(table_radius).copy()
         c, s = np.cos(pose[2]), np.sin(pose[2])
         R_OW = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         p_WO = np.array([pose[0], pose[1], 0])

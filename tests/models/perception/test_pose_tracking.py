@@ -259,13 +259,15 @@ def turned_shape(scene, shape, pose, longer=0.0, lobe=0.0):
     depth = scene.depth((), (0.0, 0.0, 0.0))
     corners = [(x, y, z) for x in (-size, size) for y in (-size, size) for z in (0.0, high)]
     there = scene.around(np.add(corners, [*pose[:2], 0.0]))
-    seen, rays, start = depth[there], scene.view.rays[there].astype(float), scene.view.p_WC
+    seen, rays, start = depth[there], scene.rays[there], scene.view.p_WC
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for z in np.arange(0.0, high + 2e-4, 5e-4):  # upwards: the highest place on a ray is seen
         along = (z - start[2]) / rays[..., 2]
         x, y = np.moveaxis(start[:2] + along[..., None] * rays[..., :2] - pose[:2], -1, 0)
         x, y = (c * x + s * y) / np.sqrt(1 + longer), (c * y - s * x) * np.sqrt(1 + longer)
-        radius = np.hypot(x, y) / (1 + lobe / top[0][-1] * np.cos(4 * np.arctan2(y, x)))
+        radius = np.hypot(x, y)
+        if lobe:
+            radius /= 1 + lobe / top[0][-1] * np.cos(4 * np.arctan2(y, x))
         inside = (np.interp(radius, *top) >= z) & (np.interp(radius, *bottom) <= z)
         seen[inside] = along[inside]
     return depth
