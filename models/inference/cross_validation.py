@@ -41,8 +41,8 @@ class LeftOut:
         """Ends of the pushes, each predicted by the fit that left it out.
 
         Returns:
-            World poses (B, 3), m and rad, and the variances (B, 3) of what that fit and the tracker's view of
-            the start leave open of them.
+            World poses (B, 3), m and rad, and the variances (B, 3) of what that fit, the tracker's view of
+            the start and the record of the finger's track leave open of them.
         """
         prior, observations = self.likelihood.prior, self.likelihood.observations
         maps = prior.maps(self.fits.z)
@@ -53,11 +53,15 @@ class LeftOut:
             rollouts = prior.slider.rollout(maps[k : k + 1], pushes, sensitivities=True)
             ends[own] = rollouts.end[0, :, :3]
             left = np.linalg.inv(self.fits.hessian[k] + np.eye(prior.size))
+            likely = [observations[b].likely_pushes for b in own]
+            along = prior.slider.rollout(maps[k : k + 1], [push for tracks in likely for push in tracks])
+            by_track = np.split(along.end[0, :, :3], np.cumsum([len(tracks) for tracks in likely])[:-1])
             for place, b in enumerate(own):
                 slopes = prior.chain(maps[k : k + 1], rollouts.d_poses_of(place)[:, -1])[0]
                 by_maps, by_start = slopes[:, : prior.size], slopes[:, prior.size :]
                 started = (by_start * self.likelihood.start_sigma[b]) ** 2
                 variances[b] = ((by_maps @ left) * by_maps).sum(axis=1) + started.sum(axis=1)
+                variances[b] += by_track[place].var(axis=0)
         return ends, variances
 
 

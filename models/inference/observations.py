@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -46,6 +46,8 @@ _LEAST_REST = 0.5  # s, kept before and after the motion if there is so much
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
+_DRAWN_TRACKS = [0, 1, 2, 3, 8, 9, 10, 11]  # of those that `smooth_track` returns; pairs of opposite noise
+_LEAST_SCATTER = 2e-6  # m between tracks that matters
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
@@ -68,6 +70,13 @@ class Observation:
     # (T,) whether a force counts: the finger moves and presses, away from its first touch and its stop, where
     # force depends on contact stiffness rather than on friction
     sliding: np.ndarray
+    # (N, len(tip), 2) tracks that the finger may have taken instead of `push.tip`; N may be 0
+    tips: FloatArray = field(default_factory=lambda: np.zeros((0, 1, 2)))
+
+    @property
+    def likely_pushes(self) -> list[Push]:
+        """The push along each track that the finger may have taken; the push alone if there is one."""
+        return [replace(self.push, tip=tip) for tip in self.tips] or [self.push]
 
     @property
     def counted(self) -> Push:
@@ -103,7 +112,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
-    track_time, track = smooth_track(*finger_path(trial))
+    track_time, track, likeliest = smooth_track(*finger_path(trial))
     speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
@@ -112,10 +121,13 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
-    tip = np.full((steps + 1, 2), np.nan)
+    tip, tips = np.full((steps + 1, 2), np.nan), np.zeros((0, 1, 2))
     if len(track_time) >= _FEW_ROWS and trial.has_finger:
         # Straight lines between rows would change the speed at each row at once, and the force would ring.
         tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
+        if np.abs(likeliest - track).max() > _LEAST_SCATTER:
+            some = likeliest[_DRAWN_TRACKS]
+            tips = PchipInterpolator(track_time, some, axis=1)(np.minimum(ends, track_time[-1]))
     elif trial.has_finger:
         tip = interpolated(ends, track_time, track)
 
@@ -136,8 +148,9 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
         order=float(order),
     )
     return Observation(
-        trial.name, trial.role, push, poses, pose_rows, start_rows, forces, force_rows, _sliding(push, forces)
-    )
+        trial.name, trial.role, push, poses, pose_rows, start_rows, forces, force_rows,
+        _sliding(push, forces), tips,
+    )  # fmt: skip
 
 
 def observe_all(

@@ -97,7 +97,7 @@ def observe_steps(trial: Trial) -> EqualSteps:
     ends = np.linspace(0.0, times[-1], steps + 1)
     tip = np.full((steps + 1, 2), np.nan)
     if trial.has_finger:
-        tip = interpolated(ends, *smooth_track(*finger_path(trial)))
+        tip = interpolated(ends, *smooth_track(*finger_path(trial))[:2])
     return EqualSteps(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
 
 

@@ -307,9 +307,11 @@ def effective_travel(travel: FloatArray) -> FloatArray:
 
 
 def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
-    """Ends of the hypotheses, each from starts that the tracker would see as the measured ones.
+    """Ends of the hypotheses, each from starts that the tracker would see as the measured ones, along a track
+    that the finger may have taken.
 
-    A push near balance may go either way from them. The starts' mean over the hypotheses is the measured one.
+    A push near balance may go either way from them, and an object that is struck slides as far as the
+    finger's fastest moment lets it. The starts' mean over the hypotheses is the measured one.
 
     Args:
         belief: K hypotheses.
@@ -324,9 +326,15 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
     offsets = np.random.default_rng(_STARTS).standard_normal((len(p), 1, 3))
     offsets = (offsets - np.einsum("k,kbi->bi", p, offsets)) * noise.of_poses
     offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
-    starts = np.array([observation.push.start_pose for observation in observations])
-    pushes = [observation.push for observation in observations]
-    return belief.slider.rollout(belief.maps, pushes, start_poses=starts + offsets).end[:, :, :3]
+    starts = np.array([observation.push.start_pose for observation in observations]) + offsets
+    pushes = [observation.likely_pushes for observation in observations]
+    tracks = max(len(likely) for likely in pushes)
+    ends = np.empty((len(p), len(observations), 3))
+    for track in range(tracks):
+        own = slice(track, None, tracks)
+        along = [likely[track % len(likely)] for likely in pushes]
+        ends[own] = belief.slider.rollout(belief.maps[own], along, start_poses=starts[own]).end[:, :, :3]
+    return ends
 
 
 def uniform_maps(belief: Belief) -> Maps:

@@ -40,7 +40,7 @@ _HUBER = 1.345  # residual in standard deviations above which a row counts less 
 _HUBER_ITERATIONS = 8
 
 
-def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
+def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The track of a finger whose acceleration changes rarely, but then by any amount.
 
     A robot speeds up, moves, slows down and stops, each at its own acceleration. Windows of any width either
@@ -57,18 +57,20 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
 
     Where jitter hides a corner, the likeliest track puts it at one place or another, a little too fast or too
     slow, and a struck object slides as far as the fastest moment lets it: too far, however the jitter falls.
-    So the result is the mean of the likeliest tracks of records with as much noise again (bagging).
+    So the result is the mean of the likeliest tracks of records with as much noise again (bagging). These
+    scatter about it as it does about the true track.
 
     Args:
         time: (T,) increasing, s; rows may jitter in time.
         track: (T, 2) positions, m.
 
     Returns:
-        Times at the median rate over the same span, and the track there. Tracks of fewer than twelve rows
-        come back as they are.
+        Times (M,) at the median rate over the same span, the track there, (M, 2), and the likeliest tracks
+        (N, M, 2), the second half with the opposite noise of the first. Tracks of fewer than twelve rows come
+        back as they are, and alone.
     """
     if len(time) < 12:
-        return time, track
+        return time, track, track[None]
     step = float(np.median(np.diff(time)))
     grid = np.linspace(time[0], time[-1], round((time[-1] - time[0]) / step) + 1)
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
@@ -78,7 +80,8 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     noisier = (raw - raw[0]) + noise * np.concatenate([more, -more])
     noise *= np.sqrt(2.0)
     least = min(_FIRST_CHANGE, _GENTLE_JERK * step**3 / noise)
-    return grid, raw[0] + noise * _likeliest(noisier / noise, least).mean(axis=0)
+    likeliest = raw[0] + noise * _likeliest(noisier / noise, least)
+    return grid, likeliest.mean(axis=0), likeliest
 
 
 def _likeliest(rows: FloatArray, least: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -62,6 +63,25 @@ def test_variances_are_those_of_ends_under_maps_and_starts_that_the_other_pushes
         drawn = prior.slider.rollout(prior.maps(z), [push], start_poses=starts).end[:, 0, :3]
         assert drawn.std(axis=0) / shrunk == pytest.approx(np.sqrt(variances[b]), rel=0.15)
         assert drawn.mean(axis=0) == pytest.approx(ends[b], abs=3e-4)
+
+
+def test_what_the_record_leaves_open_of_the_fingers_track_counts(
+    left_out: LeftOut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tracks half a millimetre beside the recorded one, each with its opposite."""
+    likelihood = left_out.likelihood
+    _, before = left_out.ends()
+    aside = 5e-4 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])[:, None]
+    beside = [replace(o, tips=o.push.tip + aside) for o in likelihood.observations]
+    monkeypatch.setattr(likelihood, "observations", beside)
+    _, now = left_out.ends()
+    slider = likelihood.prior.slider
+    for b in (0, 3):
+        k = int(left_out.fold[b])
+        maps = likelihood.prior.maps(left_out.fits.z[k : k + 1])
+        ends = slider.rollout(maps, beside[b].likely_pushes).end[0, :, :3]
+        assert ends.var(axis=0).max() > 1e-9
+        assert now[b] - before[b] == pytest.approx(ends.var(axis=0), rel=0.01)
 
 
 def known(off: FloatArray, variance: float, travel: FloatArray) -> LeftOut:

@@ -22,7 +22,7 @@ def test_smoothing_removes_jitter_and_keeps_sudden_stops():
     x = 0.1 * np.minimum(t, 1.5)  # stops dead at 1.5 s
     true = np.column_stack([x, 0.0 * x])
     noisy = true + 5e-5 * rng.standard_normal(true.shape)
-    grid, smooth = smooth_track(t, noisy)
+    grid, smooth, _ = smooth_track(t, noisy)
     away = np.abs(grid - 1.5) > 0.1
     assert np.abs(grid - t).max() < 1e-9
     assert np.sqrt(((smooth - true)[away] ** 2).mean()) < 0.4 * 5e-5
@@ -50,7 +50,7 @@ def test_smoothing_keeps_the_corners_of_a_tap_at_any_rate(rate):
     assert np.sqrt(np.mean(speed**2)) < 1.0
 
 
-def test_jitter_makes_a_struck_object_slide_neither_farther_nor_less_far():
+def test_jitter_makes_a_struck_object_slide_no_farther_and_by_as_much_as_likely_tracks_say():
     rows = TablePush(np.array([-0.11, 0.0]), np.array([0.0, 0.0]), 0.3, creep=0.06).path(0.01)
     t = 0.01 * np.arange(len(rows) + 40)  # the object comes to rest
     true = np.vstack([rows, np.repeat(rows[-1:], 40, axis=0)])
@@ -59,15 +59,21 @@ def test_jitter_makes_a_struck_object_slide_neither_farther_nor_less_far():
     maps = Maps(np.full((1, len(grid)), 1.0 / len(grid)), np.full((1, len(grid)), 0.3), np.array([0.25]))
     ends = 2e-3 * np.arange(int(t[-1] / 2e-3) + 1)
 
-    def slid(track: np.ndarray) -> float:
-        push = Push(2e-3, PchipInterpolator(t, track)(ends), np.zeros(3))
-        return float(slider.rollout(maps, [push]).end[0, 0, 0])
+    def slid(tracks: np.ndarray) -> np.ndarray:
+        pushes = [Push(2e-3, PchipInterpolator(t, track)(ends), np.zeros(3)) for track in tracks]
+        return slider.rollout(maps, pushes).end[0, :, 0]
 
-    farther = []
+    farther, scatter = [], []
+    (base,) = slid(smooth_track(t, true)[1][None])
     for seed in range(40):
         noisy = true + 1e-4 * np.random.default_rng(seed).standard_normal(true.shape)
-        farther.append(slid(smooth_track(t, noisy)[1]) - slid(smooth_track(t, true)[1]))
+        _, mean, likeliest = smooth_track(t, noisy)
+        end, *others = slid(np.concatenate([mean[None], likeliest[::2]]))
+        farther.append(end - base)
+        scatter.append(np.std(others))
     assert abs(np.mean(farther)) < 1.5e-4  # with the likeliest track alone 0.34 mm
+    inside = np.abs(farther) < 1.645 * np.array(scatter)
+    assert 0.8 <= inside.mean() <= 0.975
 
 
 def test_a_single_row_off_the_track_hardly_bends_it():
@@ -84,13 +90,14 @@ def test_a_single_row_off_the_track_hardly_bends_it():
 def test_a_weaving_track_without_noise_keeps_its_shape():
     t = np.arange(200) * 0.01
     track = np.column_stack([np.abs(t - 1.0), 0.02 * np.sin(6.0 * t)])
-    _, smooth = smooth_track(t, track)
+    _, smooth, _ = smooth_track(t, track)
     assert np.abs(smooth - track).max() < 5e-5
 
 
 def test_short_tracks_come_back_as_they_are():
     t, track = np.array([0.0, 5.0]), np.array([[0.0, 0.0], [0.05, 0.0]])
-    assert smooth_track(t, track)[1] is track
+    _, smooth, likeliest = smooth_track(t, track)
+    assert smooth is track and likeliest.tolist() == [track.tolist()]
 
 
 def resting_trial(noise: float) -> Trial:

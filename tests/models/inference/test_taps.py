@@ -2,7 +2,13 @@
 
 import numpy as np
 
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import identify
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import drawn_ends
+from slipmap.models.inference.prior import slider_for
+from slipmap.models.measurements import Noise
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -21,6 +27,27 @@ def pushes(speed: float, creep: float) -> list[Push]:
         times = 1e-3 * np.arange(int(1e3 * (pace.duration + 0.6)))
         result.append(Push(1e-3, begin + np.outer(pace.at(times - 0.1), push.direction), np.zeros(3)))
     return result
+
+
+def test_the_noise_of_the_fingers_track_widens_where_a_tapped_object_may_stop():
+    grid = cells_from_polygon([[-0.1, -0.03], [0.1, -0.03], [0.1, 0.03], [-0.1, 0.03]], count=40)
+    slider, n = Slider(grid, RADIUS), len(grid)
+    truth = Maps(np.full((1, n), 1.0 / n), np.full((1, n), 0.15), np.array([0.3]))
+    spread = {}
+    for jitter in (0.0, 1e-4):
+        for name, speed, creep in (("slow", 0.05, 0.0), ("taps", 0.3, 0.014)):
+            rng, sensors = np.random.default_rng(0), Noise(position=1e-5, angle=1e-5, tip=jitter)
+            dataset = record_pushes(slider, truth, pushes(speed, creep), rng, noise=sensors)
+            observations = observe_all(dataset)
+            sure = Maps(*(np.repeat(part, 16, axis=0) for part in (truth.mass, truth.mu, truth.mu_finger)))
+            belief = Belief.learned(
+                dataset, slider_for(dataset), sure, np.full(16, 1 / 16), method="gauss-newton", seed=0,
+                trials=[], settings={},
+            )  # fmt: skip
+            ends = drawn_ends(belief, observations, sensor_noise(dataset))
+            spread[name, jitter] = np.median(ends[..., 1].std(axis=0))
+    assert spread["taps", 1e-4] > 2e-4 > 10 * spread["taps", 0.0]
+    assert spread["slow", 1e-4] < 3e-5
 
 
 def test_taps_find_a_heavy_end_that_slides_easily():
