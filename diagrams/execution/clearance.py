@@ -22,6 +22,7 @@ from slipmap.planners.table_push import TablePush
 
 APART = 0.005  # distance that the arm keeps from table and object, except for the finger while it is low, m
 _BALLS_APART = 0.5  # spacing along a shape, in its radii
+_BALLS_OF_DISC = 12
 _FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # links that hand and forearm could hit
 _NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those
 _FAR = 0.05  # m; larger distances need not be known
@@ -165,27 +166,30 @@ def _balls(
     for body in (body for instance in instances for body in plant.GetBodyIndices(instance)):
         centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
         for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
-            shape = inspector.GetShape(geometry)
-            along = _along(shape)
-            points = np.column_stack([np.zeros((len(along), 2)), along])
+            points, radius = _cover(inspector.GetShape(geometry))
             centers.append(moved(inspector.GetPoseInFrame(geometry), points))
-            radii.append(np.full(len(along), shape.radius()))
+            radii.append(np.full(len(points), radius))
         if len(centers) > 1:
             result.append((body, np.concatenate(centers), np.concatenate(radii)))
     return result
 
 
-def _along(shape: Shape) -> FloatArray:
-    """Positions along the shape's z axis of balls with its radius."""
+def _cover(shape: Shape) -> tuple[FloatArray, float]:
+    """Centres (b, 3) of balls along a shape's z axis, and their radius; along the rim of a thin disc."""
     if isinstance(shape, Sphere):
-        return np.zeros(1)
+        return np.zeros((1, 3)), float(shape.radius())
+    if isinstance(shape, Cylinder) and shape.length() < shape.radius():
+        # Balls of its own radius would stick out of it.
+        radius, turn = shape.length() / 2, np.linspace(0.0, 2 * np.pi, _BALLS_OF_DISC, endpoint=False)
+        return (shape.radius() - radius) * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]), radius
     if isinstance(shape, Capsule):
         half = shape.length() / 2
     elif isinstance(shape, Cylinder):
         half = max(shape.length() / 2 - shape.radius(), 0.0)
     else:
         raise ValueError(f"arm clearance: the collision shape {type(shape).__name__} is not supported")
-    return np.linspace(-half, half, max(int(np.ceil(2 * half / (_BALLS_APART * shape.radius()))) + 1, 1))
+    along = np.linspace(-half, half, max(int(np.ceil(2 * half / (_BALLS_APART * shape.radius()))) + 1, 1))
+    return np.column_stack([np.zeros((len(along), 2)), along]), float(shape.radius())
 
 
 @dataclass(frozen=True, eq=False)

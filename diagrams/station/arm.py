@@ -19,7 +19,15 @@ from pydrake.systems.primitives import SharedPointerSystem
 
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
+from slipmap.models.robots import (
+    ARM_JOINTS,
+    FINGER_RADIUS,
+    FLANGE_HEIGHT,
+    FOLDER,
+    GRIPPER_MODEL,
+    IIWA_MODEL,
+    PIN_RADIUS,
+)
 
 ARM_MODELS = {
     "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",
@@ -39,7 +47,6 @@ IIWA_OUTPUTS = ("position_commanded", "position_measured", "velocity_estimated",
 """Outputs of the arm's joints; the ports of a cell are named `iiwa.` plus one of these."""
 
 _FLOOR = -0.75  # m, lower end of the stand
-_PIN_RADIUS = 0.0075  # m; of the finger except for its last 12 mm
 _SQUEEZE = 0.01  # m beyond closed in the command, so that the gripper closes with its full force
 
 _DIRECTIVES = """
@@ -226,13 +233,13 @@ def _parser(plant: MultibodyPlant) -> Parser:
 
 @contextmanager
 def _gripper_with(finger_radius: float) -> Iterator[Path]:
-    """The gripper's model file, or one with another radius of the finger's last 12 mm and of the slightly
-    thinner rest."""
+    """The gripper's model file, or one with another radius of the finger's collar and of the slightly thinner
+    rest."""
     if finger_radius == FINGER_RADIUS:
         yield GRIPPER_MODEL
         return
     text = GRIPPER_MODEL.read_text(encoding="utf-8")
-    radii = {FINGER_RADIUS: finger_radius, _PIN_RADIUS: finger_radius - (FINGER_RADIUS - _PIN_RADIUS)}
+    radii = {FINGER_RADIUS: finger_radius, PIN_RADIUS: finger_radius - (FINGER_RADIUS - PIN_RADIUS)}
     given = "|".join(f"{radius:g}" for radius in radii)
     text = re.sub(f'radius="({given})"', lambda found: f'radius="{radii[float(found[1])]:.6g}"', text)
     with tempfile.TemporaryDirectory() as folder:

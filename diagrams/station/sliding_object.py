@@ -22,7 +22,7 @@ BODY = "object"  # name of the body and of the model instance's only link
 DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
-SINK = 2e-5  # depth to which every usual foot sinks in under the load of its cell, m
+SINK = 2e-6  # depth to which every foot sinks in under the load of its cell, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _TABLE_STIFFNESS = 1e8  # N/m
@@ -44,13 +44,17 @@ class Feet:
 
 
 FOUR = Feet(_FEET, SINK, 1e-4)
-"""The usual feet, on which every cell resists spinning."""
+"""The station's feet, on which every cell resists spinning.
 
-STIFF = Feet(np.zeros((1, 2)), 2e-6, 3e-4)
-"""One foot for each cell. Several times faster, but a single cell does not resist spinning. Cells at the rim
-of a table may carry hundreds of times their weight, and on softer feet, or with lower blocks, an object leans
-on its blocks; with higher ones it falls off its last row of feet, half a cell from the rim. What rocks on
-stiff feet meets the wrong friction, as `lagged` contact computes it from the loads of the step before."""
+Cells at the rim of a table may carry hundreds of times their weight. On softer feet an object leans there on
+its blocks, which have the finger's friction. With higher blocks it leans more where its centre of mass
+is between the last row of feet and the table's edge: until a block meets that edge. On stiff feet an object
+must be touched at one height: what rocks meets the wrong friction, as `lagged` contact computes it from the
+loads of the step before.
+"""
+
+ONE = Feet(np.zeros((1, 2)), SINK, 3e-4)
+"""The campaigns' feet, one for each cell. Much faster, but a single cell does not resist spinning."""
 
 
 def plant_config(time_step: float) -> MultibodyPlantConfig:

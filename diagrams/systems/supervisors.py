@@ -15,7 +15,7 @@ from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import CHOOSING, MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.robots import FINGER_RADIUS
+from slipmap.models.robots import PIN_RADIUS
 
 PERIOD = 0.05  # s between two decisions
 PATIENCE = 20.0  # s that the object may stay out of sight before the loop gives up
@@ -296,7 +296,7 @@ class PregraspSupervisor(PythonSystem):
     def _empty(self, context: Context, now: _Bringing) -> str:
         """Why the gripper holds nothing; empty if it holds the object."""
         assert now.grasp is not None
-        between = self.input(context, "gripper.state_measured")[0] - 2 * FINGER_RADIUS
+        between = self.input(context, "gripper.state_measured")[0] - 2 * PIN_RADIUS
         height = now.grasp.grasp.height
         if not between > (1.0 - _HELD_LESS) * height:
             return "the pins closed on nothing"

@@ -28,7 +28,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS
 
 TIME_STEP = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
-_FEET = sliding_object.STIFF
+_FEET = sliding_object.ONE
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _FINGER_EDGE = 1e-3  # m; height of the part of the finger that touches
 _AWAY = np.array([50.0, 50.0])

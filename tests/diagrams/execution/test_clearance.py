@@ -106,3 +106,8 @@ def test_arm_folded_into_its_own_stand_is_too_close(clearance):
     folded = np.array([0.0, np.deg2rad(115), 0.0, np.deg2rad(-118), 0.0, np.deg2rad(-60), 0.0])
     turns = [folded + np.array([turn, 0, 0, 0, 0, 0, 0]) for turn in np.linspace(-2.9, 2.9, 9)]
     assert min(clearance.of(np.clip(q, -POSITION_LIMITS, POSITION_LIMITS), 0.0) for q in turns) < 0.0
+
+
+def test_the_balls_at_the_fingers_end_do_not_stick_out_of_it(clearance, kinematics):
+    centers = kinematics.pose(HOME).inverse() @ clearance.centers(HOME, 0.0).T
+    assert (centers[2] + clearance._radii).max() == pytest.approx(0.0, abs=1e-6)

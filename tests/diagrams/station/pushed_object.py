@@ -5,13 +5,14 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
+from pydrake.geometry import AddContactMaterial, ProximityProperties, Role
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction
 from pydrake.multibody.tree import PdControllerGains, PrismaticJoint, SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from slipmap.diagrams.station.arm import lone_arm
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.sliding_object import (
     BODY,
@@ -100,7 +101,7 @@ class TestBed:
         port.FixValue(self.context, np.concatenate([position, velocity]))
 
     def _add_finger(self) -> None:
-        plant, length = self.plant, 1e-3  # along a long one the point of contact would jump
+        plant = self.plant
         self.finger = plant.AddModelInstance("finger")
         inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
         carriage = plant.AddRigidBody("carriage", self.finger, inertia)
@@ -115,6 +116,14 @@ class TestBed:
         contact = ProximityProperties()
         friction = CoulombFriction(FINGER_FRICTION, FINGER_FRICTION)
         AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
-        shape = Cylinder(FINGER_RADIUS, length)
-        X_FG = RigidTransform(np.array([0, 0, FINGER_HEIGHT + length / 2]))
-        plant.RegisterCollisionGeometry(finger, X_FG, shape, "finger", contact)
+        # The shapes of one half of the gripper's finger, which points downwards.
+        gripper, scene_graph, arm = lone_arm()
+        pin = gripper.GetFrameByName("left_finger", arm.gripper)
+        X_PT = gripper.GetFrameByName("tip").CalcPose(gripper.CreateDefaultContext(), pin)
+        X_FP = RigidTransform(RollPitchYaw(np.pi, 0, 0), [0, 0, FINGER_HEIGHT]) @ X_PT.inverse()
+        inspector = scene_graph.model_inspector()
+        frame = gripper.GetBodyFrameIdOrThrow(pin.body().index())
+        for shape in inspector.GetGeometries(frame, Role.kProximity):
+            X_FG = X_FP @ inspector.GetPoseInFrame(shape)
+            name = inspector.GetName(shape).split("::")[-1]
+            plant.RegisterCollisionGeometry(finger, X_FG, inspector.GetShape(shape), name, contact)

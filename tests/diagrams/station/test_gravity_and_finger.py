@@ -27,6 +27,11 @@ def test_the_end_of_the_finger_has_the_radius_that_is_wanted(radius):
     ]
     radii = sorted(shape.radius() for shape in shapes if isinstance(shape, Cylinder))
     assert radii == pytest.approx([*4 * [radius - 0.5e-3], radius])
+    # An upright side is touched at one height; along a long one the point of contact would jump and rock it.
+    (length,) = (
+        shape.length() for shape in shapes if isinstance(shape, Cylinder) and shape.radius() == radius
+    )
+    assert length <= 1e-3
 
 
 def test_what_is_recorded_says_them():

@@ -24,8 +24,10 @@ from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmar
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.objects.meshes import coloured
 from slipmap.models.objects.true_object import Block, TrueObject
+from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Slider
 from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.table_push import TablePush
 
 START = np.array([-0.05, 0.02, 0.3])
 SQUARE_TABLE = Table("rectangle", (0.1, 0.0), size=(0.8, 0.6))
@@ -61,6 +63,20 @@ def test_pushed_object_follows_the_cell_grid_model(name: str) -> None:
     assert np.abs(off[:, 2]).max() < np.radians(1.0)
     # Neither tipped nor lifted.
     assert abs(bed.X_WO.translation()[2] + SINK) < SINK
+
+
+def test_pushed_over_the_rim_it_slides_as_on_the_table() -> None:
+    """Feet that sink by 20 µm let its blocks down on the table, and it ends 24 mm off."""
+    thing, pose = benchmark_object("hammer"), np.array([0.09685, 0.49962, 0.87122])
+    tip = TablePush(np.array([0.03466, 0.48889]), np.array([0.06474, 0.46205]), 0.085).path(2.5e-3)
+    slider = Slider(thing.grid, FINGER_RADIUS, table=ROUND_TABLE)
+    expected = slider.rollout(thing.maps, [Push(2.5e-3, tip, pose)]).end[0, 0, :3]
+    assert add(pose[None], expected, thing.grid.centers)[0] > 15e-3
+    bed = TestBed(thing, finger=True)
+    bed.start(pose, tip[0])
+    bed.follow(tip, 2.5e-3)
+    bed.advance(0.2)
+    assert add(bed.pose[None], expected, thing.grid.centers)[0] < 2e-3
 
 
 @pytest.fixture(scope="module")

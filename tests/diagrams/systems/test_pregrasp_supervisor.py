@@ -12,7 +12,7 @@ from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import HOLD, PATIENCE, PERIOD, PregraspSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.robots import FINGER_RADIUS
+from slipmap.models.robots import PIN_RADIUS
 from slipmap.planners.table_push import TablePush
 
 PUSH = TablePush([0.0, 0.0], [0.1, 0.0], 0.05)
@@ -81,7 +81,7 @@ def test_pushes_follow_until_a_grasp_and_the_object_is_held():
     assert loop.step(execution=ExecutionStatus("closing", number)) == "grasping"
     assert loop.step(execution=ExecutionStatus("lifting", number)) == "lifting"
     assert loop.step(execution=ExecutionStatus("holding", number)) == "holding"
-    loop.set(**{"gripper.state_measured": [2 * FINGER_RADIUS + 0.9 * HEIGHT, 0.0]})
+    loop.set(**{"gripper.state_measured": [2 * PIN_RADIUS + 0.9 * HEIGHT, 0.0]})
     loop.advance(HOLD - 2 * PERIOD)
     assert loop.read("status").mode == "holding"
     loop.advance(3 * PERIOD)
@@ -93,7 +93,7 @@ def test_pins_that_closed_on_nothing_hold_nothing():
     loop = Loop()
     loop.step()
     loop.reach("holding")
-    loop.set(**{"gripper.state_measured": [2 * FINGER_RADIUS + 0.1 * HEIGHT, 0.0]})
+    loop.set(**{"gripper.state_measured": [2 * PIN_RADIUS + 0.1 * HEIGHT, 0.0]})
     loop.advance(HOLD + PERIOD)
     assert (loop.read("status").mode, loop.read("status").reason) == ("failed", "the pins closed on nothing")
 
@@ -105,7 +105,7 @@ def test_a_gripper_that_is_stuck_open_holds_nothing():
     loop.set(**{"gripper.state_measured": [0.094, 0.0]})
     loop.advance(HOLD + PERIOD)
     assert loop.read("status").mode == "failed"
-    assert "did not close: its pins are 78 mm apart" in loop.read("status").reason
+    assert "did not close: its pins are 79 mm apart" in loop.read("status").reason
 
 
 @pytest.mark.parametrize("when", ["planning", "pushing", "grasping", "holding"])
