@@ -68,7 +68,8 @@ class FingerPath(PythonSystem):
 
     Args:
         pushes: in the world, in order.
-        h: step of the model that it drives, s; the velocity is constant over it.
+        h: time over which the velocity is constant, s; forces are smoothest if it is the step of the model
+            that it drives.
         pause: between two pushes and before the first, s.
         rest: time for which the finger is down and at rest before and after it moves, s.
 
@@ -106,11 +107,15 @@ class FingerPath(PythonSystem):
 
     def _now(self, context: Context) -> tuple[TablePush | None, FloatArray]:
         """The push under way and the state (4,) of the finger."""
-        step = int(context.get_time() / self._h + 1e-6)
+        steps = context.get_time() / self._h
+        step = int(steps + 1e-6)
         for begin, push, path in self._made:
             if begin <= step < begin + len(path) - 1:
                 here, there = path[step - begin : step - begin + 2]
-                return push, np.concatenate([here, (there - here) / self._h])
+                since = steps - step
+                # Exactly the path's point at the finger's own steps; between them, where it is by then.
+                center = here if since < 1e-6 else here + since * (there - here)
+                return push, np.concatenate([center, (there - here) / self._h])
         return None, np.full(4, np.nan)
 
 

@@ -82,6 +82,20 @@ def test_the_finger_is_nowhere_between_pushes_and_moves_as_it_says() -> None:
     assert np.linalg.norm(first[:, 2:], axis=1).max() == pytest.approx(PUSH.speed)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.5, 1.5])
+def test_a_model_with_steps_of_its_own_meets_a_finger_without_jumps(share: float) -> None:
+    """So the finger does not press into the object and out again from one of the model's steps to the next."""
+    finger = DrivenBlock(FingerPath([PUSH], H, pause=0.1))
+    rows = []
+    while finger.time < 1.5:
+        rows.append(finger.read("finger"))
+        finger.advance(share * H)
+    rows = [row for row in rows if np.isfinite(row).all()]
+    assert len(rows) > 50
+    before, after = np.array(rows[:-1]), np.array(rows[1:])
+    assert np.abs(before[:, :2] + share * H * before[:, 2:] - after[:, :2]).max() < 1.5 * 0.5 * H**2
+
+
 @pytest.mark.parametrize(
     ("pause", "h", "words"),
     [
