@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import field, fields
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -20,9 +20,22 @@ def check_whole(name: str, value: object, least: int) -> None:
 
 
 def check_positive(name: str, value: float, unit: str) -> None:
-    """Raise ValueError for a number that is not positive and finite."""
-    if not 0 < value < math.inf:
+    """Raise ValueError for anything but a positive and finite number."""
+    if not (isinstance(value, Real) and 0 < value < math.inf):
         raise ValueError(f"{name} must be positive and finite, got {value} {unit}")
+
+
+def check_not_negative(name: str, value: float, unit: str) -> None:
+    """Raise ValueError for anything but zero and positive finite numbers."""
+    if not (isinstance(value, Real) and 0 <= value < math.inf):
+        raise ValueError(f"{name} must not be negative, got {value} {unit}")
+
+
+def check_kind(name: str, value: object, kind: type, source: str) -> None:
+    """Raise TypeError for a value of another kind; the message says where to get one of this kind."""
+    if not isinstance(value, kind):
+        got = "None" if value is None else f"a {type(value).__name__}"
+        raise TypeError(f"{name} must be a {kind.__name__}, {source}; got {got}")
 
 
 def within(default: float, least: float, largest: float) -> Any:

@@ -63,7 +63,7 @@ _APPROACH = 0.01  # m between finger and object at the start
 def diagnose(
     dataset: PushDataset,
     *,
-    effects: Sequence[Effect] = LIBRARY,
+    effects: Sequence[Effect | str] = LIBRARY,
     draws: int = 199,
     quick: bool = False,
     seed: int = 0,

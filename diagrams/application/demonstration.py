@@ -11,6 +11,7 @@ from slipmap.models.measurements.reading import read_dataset
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects.benchmark_objects import HEAD, hammer
 from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.models.settings import check_whole
 from slipmap.planners.exploration import candidate_pushes
 
 FINGER_RADIUS = 0.008
@@ -24,12 +25,17 @@ def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[
         fit: pushes to learn from.
         heldout: pushes to judge with.
 
+    Raises:
+        ValueError: an argument that is not a whole number of at least 0.
+
     Example:
         >>> import slipmap
         >>> dataset, truth = slipmap.simulated_hammer(seed=1, fit=3, heldout=1)
         >>> [trial.role for trial in dataset.trials], truth.mass.shape
         (['fit', 'fit', 'fit', 'heldout'], (1, 60))
     """
+    for name, count in (("seed", seed), ("fit", fit), ("heldout", heldout)):
+        check_whole(name, count, 0)
     grid, truth = hammer()
     slider = Slider(grid, FINGER_RADIUS)
     rng = np.random.default_rng(seed)

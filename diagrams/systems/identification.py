@@ -11,7 +11,7 @@ from slipmap.diagrams.systems.python_system import PythonSystem, held, read, rep
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.identification import check_hypotheses, check_method, identify
+from slipmap.models.inference.identification import check_draws, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise, Table
@@ -94,7 +94,7 @@ class Identification(PythonSystem):
         )
         self._grid = grid
         learning(effects, method)
-        check_hypotheses(hypotheses)
+        check_draws(hypotheses, seed)
         self._effects, self._method = tuple(effects), method
         self._options = {"hypotheses": hypotheses, "seed": seed}
         self._learned = learned

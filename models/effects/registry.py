@@ -139,3 +139,33 @@ def effects_named(names: Sequence[str], known: Sequence[Effect] = LIBRARY) -> tu
         if list(names).count(name) > 1:
             raise EffectError(f"effect {name} is given twice")
     return tuple(by_name[name] for name in names)
+
+
+def effects_given(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
+    """Effects from objects and from names in the library.
+
+    Raises:
+        EffectError: a name is unknown, an effect is given twice, or something is neither name nor effect.
+    """
+    if isinstance(effects, str):
+        return effects_named(effects)  # says how to write it
+    if isinstance(effects, Effect):
+        raise EffectError(f"effects must be a list, got one effect; write [{effects.name}]")
+    for effect in effects:
+        if not isinstance(effect, Effect | str):
+            raise EffectError(f"effects must be names or objects of a class of Effect, got {effect!r}")
+    own = [effect for effect in effects if not isinstance(effect, str)]
+    names = [effect if isinstance(effect, str) else effect.name for effect in effects]
+    return effects_named(names, (*LIBRARY, *own))
+
+
+def candidates_given(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
+    """The same for the candidates of a diagnosis, of which there is at least one.
+
+    Raises:
+        EffectError: as `effects_given`, or there is none.
+    """
+    found = effects_given(effects)
+    if not found:
+        raise EffectError("effects: name at least one candidate, or leave them out to try the whole library")
+    return found

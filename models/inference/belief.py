@@ -162,7 +162,7 @@ class Belief:
             dataset=dataset.name,
             fingerprint=dataset.fingerprint,
             method=method,
-            seed=seed,
+            seed=int(seed),
             settings={
                 "hypotheses": len(maps),
                 "fit_trials": list(trials),

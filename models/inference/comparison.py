@@ -13,13 +13,14 @@ import numpy as np
 
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.registry import effects_given
 from slipmap.models.files import plain
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.locked import with_locked
 from slipmap.models.inference.diagnosis.results import JointIdentification
 from slipmap.models.inference.diagnosis.several import check_together, fit_together
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.identification import identify, named
+from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import (
     Prediction,
@@ -37,10 +38,12 @@ from slipmap.models.inference.residual_structure import (
     factor_patterns,
 )
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
-from slipmap.models.inference.results import Identification
+from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.progress import Progress, about, silent
+from slipmap.models.settings import check_whole
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ def compare(
     Raises:
         BeliefError: the dataset has a different finger or object.
         DatasetError: there is neither a belief nor a push to learn one from.
+        TypeError, ValueError: something other than a dataset and a belief; a seed that is no whole number.
 
     Example:
         >>> import slipmap
@@ -151,17 +155,18 @@ def compare(
         >>> comparison.label, len(comparison.pushes)
         ('model', 3)
     """
+    check_dataset_given(dataset)
+    check_whole("seed", seed, 0)
     noise = sensor_noise(dataset)
     pushes: tuple[Prediction, ...] | None = None
     if belief is None:
         belief = identify(dataset, seed=seed, progress=progress)
-    if isinstance(belief, Identification):
-        own = [(push.trial, push.role) for push in belief.pushes]
-        same = belief.belief.fingerprint == dataset.fingerprint
+    learned, belief = belief, belief_of(belief)
+    if isinstance(learned, Identification):
+        own = [(push.trial, push.role) for push in learned.pushes]
+        same = belief.fingerprint == dataset.fingerprint
         if same and own == [(trial.name, trial.role) for trial in dataset.trials]:
-            pushes, belief = belief.pushes, belief.belief
-        else:
-            belief = belief.belief
+            pushes = learned.pushes
     if pushes is None:
         check_same_object(belief, dataset)
         belief = belief.on(dataset.table)
@@ -224,7 +229,7 @@ def compare_with_effects(
         >>> [comparison.label for comparison in compare_with_effects(dataset, ["table_tilt"])]
         ['without effects', 'with table_tilt']
     """
-    added = named(effects)
+    added = effects_given(effects)
     models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
     learned = {
         label: identify(dataset, given, seed=seed, progress=about(label, progress or silent))

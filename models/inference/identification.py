@@ -21,8 +21,7 @@ import numpy as np
 
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
-from slipmap.models.effects.library import LIBRARY
-from slipmap.models.effects.registry import effects_named
+from slipmap.models.effects.registry import effects_given
 from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
@@ -36,8 +35,10 @@ from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.measurements.trial_checks import contradicted_by_contact
 from slipmap.models.progress import Progress, about, silent
+from slipmap.models.settings import check_whole
 
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
@@ -73,7 +74,8 @@ def identify(
 
     Raises:
         DatasetError: there is no push to fit, or the model with the effects cannot be fitted.
-        ValueError: an unknown method, effects with `paper`, or too few hypotheses.
+        ValueError: an unknown method, effects with `paper`, too few hypotheses, or a seed that is not a whole
+            number of at least 0.
         EffectError: an unknown effect, or a formula that cannot be used.
 
     Example:
@@ -83,8 +85,9 @@ def identify(
         >>> len(result.belief), result.errors("heldout").shape
         (4, (1,))
     """
-    check_method(method, effects)
-    check_request(dataset, hypotheses)
+    added = effects_given(effects)
+    check_method(method, added)
+    check_request(dataset, hypotheses, seed)
     started = time.perf_counter()
     report = progress or silent
     report("preparing pushes", 0, 1)
@@ -93,12 +96,12 @@ def identify(
     if method == "paper":
         return _by_algorithm_1(dataset, observations, hypotheses, seed, report, started)
     found: Fitted | None = None
-    if effects:
+    if added:
         from slipmap.models.inference.diagnosis.effect_search import find_effects
 
         fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
         few = with_fewer_cells(dataset)
-        found = find_effects(few, fitted, named(effects), np.random.default_rng(seed), report)
+        found = find_effects(few, fitted, added, np.random.default_rng(seed), report)
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
         prior_settings=prior_settings, friction_laws=friction_laws, started=started,
@@ -216,17 +219,6 @@ def fit(
     return replace(result, without_effects=plain)
 
 
-def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
-    """Effects from objects and from names in the library.
-
-    Raises:
-        EffectError: an unknown name.
-    """
-    own = [effect for effect in effects if not isinstance(effect, str)]
-    names = [effect if isinstance(effect, str) else effect.name for effect in effects]
-    return effects_named(names, (*LIBRARY, *own))
-
-
 def check_method(method: str, effects: Sequence[object]) -> None:
     """Raise ValueError for an unknown method, or effects with one that does not support them."""
     if method not in METHODS:
@@ -235,20 +227,22 @@ def check_method(method: str, effects: Sequence[object]) -> None:
         raise ValueError("the method paper does not support effects; use gauss-newton")
 
 
-def check_hypotheses(hypotheses: int) -> None:
-    """Raise ValueError if there are too few hypotheses for a belief."""
-    if hypotheses < 2:
-        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
+def check_draws(hypotheses: int, seed: int) -> None:
+    """Raise ValueError if there are too few hypotheses for a belief, or a seed that no file could record."""
+    check_whole("hypotheses", hypotheses, 2)
+    check_whole("seed", seed, 0)
 
 
-def check_request(dataset: PushDataset, hypotheses: int) -> None:
+def check_request(dataset: PushDataset, hypotheses: int, seed: int) -> None:
     """Refuse a request from which no belief can be learned.
 
     Raises:
         DatasetError: there is no push to fit.
-        ValueError: too few hypotheses.
+        TypeError: something other than a dataset.
+        ValueError: too few hypotheses, or a seed that is not a whole number.
     """
-    check_hypotheses(hypotheses)
+    check_dataset_given(dataset)
+    check_draws(hypotheses, seed)
     if not dataset.fit_trials:
         raise DatasetError(
             f"dataset {dataset.name} has no push with the role fit; set the role of at least one push to fit"

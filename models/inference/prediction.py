@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,11 +23,15 @@ from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.push_errors import Errors, errors, resting_errors
 from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.pushes import Push
 from slipmap.models.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.results import Identification
 
 _LEAST_TRAVEL = 5e-3  # m
 _STARTS = 20251126  # seed of the starts of `Prediction.end_region`
@@ -176,7 +181,9 @@ _CAMERA_ERROR = 5e-4  # m, by which outlines of one object that a camera sees tw
 
 
 @one_blas_thread()
-def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
+def predict(
+    belief: Belief | Identification, dataset: PushDataset, progress: Progress | None = None
+) -> tuple[Prediction, ...]:
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 
     Args:
@@ -186,6 +193,7 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
     Raises:
         BeliefError: the dataset has a different finger or object.
+        TypeError: something other than a belief and a dataset.
 
     Example:
         >>> import slipmap
@@ -194,6 +202,10 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
         >>> [push.role for push in slipmap.predict(belief, dataset)]
         ['fit', 'heldout', 'heldout']
     """
+    from slipmap.models.inference.results import belief_of  # which imports this module
+
+    belief = belief_of(belief)
+    check_dataset_given(dataset)
     check_same_object(belief, dataset)
     return predict_observations(
         belief.on(dataset.table), observe_all(dataset), sensor_noise(dataset), progress

@@ -12,6 +12,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Paired
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.settings import check_kind
 
 
 @dataclass(frozen=True)
@@ -143,3 +144,14 @@ class Identification:
             "seed": self.belief.seed,
             **more,
         }
+
+
+def belief_of(learned: Belief | Identification) -> Belief:
+    """A belief, or that of the result of `identify`.
+
+    Raises:
+        TypeError: something else.
+    """
+    belief = learned.belief if isinstance(learned, Identification) else learned
+    check_kind("belief", belief, Belief, "such as slipmap.identify(dataset).belief")
+    return belief

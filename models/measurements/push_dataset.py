@@ -19,7 +19,7 @@ from shapely.geometry import Polygon
 
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.settings import check_choice
+from slipmap.models.settings import check_choice, check_kind
 
 Role = Literal["fit", "heldout"]
 
@@ -450,6 +450,11 @@ class PushDataset(Setup):
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
+
+
+def check_dataset_given(dataset: object) -> None:
+    """Raise TypeError for something other than a dataset, such as the path of one."""
+    check_kind("dataset", dataset, PushDataset, "such as slipmap.read_dataset returns")
 
 
 def pose_times(trial: Trial) -> FloatArray:

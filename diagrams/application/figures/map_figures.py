@@ -23,8 +23,10 @@ from slipmap.diagrams.systems.look import (
     top_of_scale,
 )
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps
+from slipmap.models.settings import check_whole
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
 _GAP, _WIDE_GAP = 0.12, 0.34
@@ -72,7 +74,7 @@ class _Column:
 
 
 @styled
-def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 6) -> Figure:
+def maps_figure(belief: Belief | Identification, *, truth: Maps | None = None, hypotheses: int = 6) -> Figure:
     """Footprint, mass, friction and mass × friction of the most probable hypotheses and of their mean.
 
     A cross marks the centre of mass, a ring the centre of friction (the mean position of the cells weighted
@@ -85,6 +87,10 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
         truth: true maps (one model), drawn in their own column where known.
         hypotheses: how many to show, most probable first.
 
+    Raises:
+        TypeError, ValueError: something other than a belief, true maps of another grid or of several models,
+            or a negative number of hypotheses.
+
     Example:
         >>> import slipmap
         >>> dataset, truth = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
@@ -92,6 +98,14 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
         >>> len(slipmap.maps_figure(belief, truth=truth).axes) > 3
         True
     """
+    belief = belief_of(belief)
+    check_whole("maps_figure: hypotheses", hypotheses, 0)
+    if truth is not None and truth.mass.shape != (1, len(belief.grid)):
+        models, cells = truth.mass.shape
+        raise ValueError(
+            f"maps_figure: truth must be one model of the belief's {len(belief.grid)} cells, got {models} of"
+            f" {cells}"
+        )
     columns = _columns(belief, truth, hypotheses)
     mass = np.concatenate([column.maps.mass for column in columns])
     mu = np.concatenate([column.maps.mu for column in columns])

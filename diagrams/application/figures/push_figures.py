@@ -19,6 +19,7 @@ from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, gaps
+from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MODEL_COLOURS = (BELIEF, OTHER)  # colours of one model, or of two over the same pushes
@@ -59,11 +60,15 @@ class _Scene:
 
 @styled
 def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, title: str = "") -> list[Figure]:
-    """A panel for each push, `_PANELS_A_PAGE` per figure; all panels of one figure have the same scale.
+    """A panel for each push, up to 24 per figure; all panels of one figure have the same scale.
 
     Args:
         dataset: for the outline and the finger's path.
         title: heading; the dataset's name where empty.
+
+    Raises:
+        TypeError: something other than a dataset.
+        ValueError: predictions of another dataset.
 
     Example:
         >>> import slipmap
@@ -72,7 +77,14 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
         >>> len(slipmap.push_figures(result.pushes, dataset))
         1
     """
+    check_dataset_given(dataset)
     trials = {trial.name: trial for trial in dataset.trials}
+    strange = [push.trial for push in predictions if push.trial not in trials]
+    if strange:
+        raise ValueError(
+            f"push_figures: dataset {dataset.name} has no push {strange[0]};"
+            " give the dataset that was predicted"
+        )
     scenes = [_scene(push, trials[push.trial], dataset) for push in predictions]
     pages = [scenes[k : k + _PANELS_A_PAGE] for k in range(0, len(scenes), _PANELS_A_PAGE)]
     heading = title or f"{dataset.name}: pushes as measured and as predicted"

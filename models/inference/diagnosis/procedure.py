@@ -29,6 +29,7 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
+from slipmap.models.effects.registry import candidates_given
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, open_trials, with_locked
@@ -70,17 +71,19 @@ from slipmap.models.inference.observations import Observation, observe_all, to_l
 from slipmap.models.inference.push_errors import repeated_pushes
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, side_by_side, silent
+from slipmap.models.settings import check_whole
 
 
 @one_blas_thread()
 def diagnose(
     dataset: PushDataset,
     *,
-    effects: Sequence[Effect] = LIBRARY,
+    effects: Sequence[Effect | str] = LIBRARY,
     draws: int = 199,
     quick: bool = False,
     seed: int = 0,
@@ -90,7 +93,7 @@ def diagnose(
 
     Args:
         dataset: measured pushes.
-        effects: candidates.
+        effects: candidates; those of the library may be given by name.
         draws: simulated datasets for the p-values.
         quick: simulate none and judge gains by a fixed threshold, with fewer pushes and larger steps.
         seed: of every random draw.
@@ -98,9 +101,13 @@ def diagnose(
 
     Raises:
         DatasetError: no push is left to fit.
-        EffectError: a candidate's formula cannot be used.
-        ValueError: too few draws for the level of the test.
+        EffectError: an unknown or no candidate, or one whose formula cannot be used.
+        TypeError: something other than a dataset.
+        ValueError: too few draws for the level of the test, or a seed that is not a whole number.
     """
+    check_dataset_given(dataset)
+    check_whole("seed", seed, 0)
+    candidates = candidates_given(effects)
     if not quick and draws < FEWEST_DRAWS:
         raise ValueError(f"draws must be at least {FEWEST_DRAWS} for p <= {LEVEL}, got {draws}")
     started = time.perf_counter()
@@ -121,7 +128,7 @@ def diagnose(
     report("preparing pushes", 1, 1)
 
     def inquire() -> tuple[Inquiry, Outcome]:
-        inquiry = Inquiry(few, observations, tuple(effects), 0 if quick else draws, rng, report)
+        inquiry = Inquiry(few, observations, candidates, 0 if quick else draws, rng, report)
         return inquiry, inquiry.run()
 
     def learned_with(

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.registry import candidates_given, effects_given
 from slipmap.models.inference.diagnosis.judged_together import Ground, Judged
 from slipmap.models.inference.diagnosis.locked import LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.other_causes import doubts_of_check
@@ -42,7 +43,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
     ParameterEstimate,
 )
-from slipmap.models.inference.identification import check_request, learn, named
+from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.together import JointFit, Together, between, is_shared
@@ -50,6 +51,7 @@ from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, part_of, silent
+from slipmap.models.settings import check_whole
 
 _REFITTED = 8
 """Number of effects that are refitted in full."""
@@ -77,7 +79,7 @@ _NEAR_NOISE = 2.0
 def diagnose_together(
     datasets: Sequence[PushDataset],
     *,
-    effects: Sequence[Effect] = LIBRARY,
+    effects: Sequence[Effect | str] = LIBRARY,
     apart: Collection[str] = (),
     draws: int = 199,
     seed: int = 0,
@@ -87,7 +89,7 @@ def diagnose_together(
 
     Args:
         datasets: two or more, each of one object.
-        effects: candidates.
+        effects: candidates; those of the library may be given by name.
         apart: owners of effects that the datasets do not share, out of `object`, `table`, `tracker`,
             `finger`, `force sensor`; the object is never shared.
         draws: random signs of whole pushes for the p-values; with 0 there are none.
@@ -112,8 +114,9 @@ def diagnose_together(
     check_together(datasets, apart)
     if draws < 0:
         raise ValueError(f"draws must not be negative, got {draws}")
+    check_whole("seed", seed, 0)
     started = time.perf_counter()
-    inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
+    inquiry = _Inquiry(datasets, candidates_given(effects), frozenset(apart), seed, progress or silent)
     return replace(inquiry.run(draws), seconds=time.perf_counter() - started)
 
 
@@ -154,11 +157,11 @@ def fit_together(
         ['hammer', 'again']
     """
     check_together(datasets, apart)
-    added = named(effects)
+    added = effects_given(effects)
     if not added:
         raise ValueError("name at least one effect to add to the model")
     for dataset in datasets:
-        check_request(dataset, hypotheses)
+        check_request(dataset, hypotheses, seed)
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, added, frozenset(apart), seed, progress or silent)
     return replace(inquiry.learned_with_all(hypotheses), seconds=time.perf_counter() - started)

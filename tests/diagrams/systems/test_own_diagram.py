@@ -84,7 +84,7 @@ def test_the_finger_is_nowhere_between_pushes_and_moves_as_it_says() -> None:
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 1.5])
 def test_a_model_with_steps_of_its_own_meets_a_finger_without_jumps(share: float) -> None:
-    """So the finger does not press into the object and out again from one of the model's steps to the next."""
+    """Or the finger would press into the object and out again at each of the model's steps."""
     finger = DrivenBlock(FingerPath([PUSH], H, pause=0.1))
     rows = []
     while finger.time < 1.5:

@@ -48,7 +48,7 @@ ROUND = Table("round", (0.0, 0.0), radius=0.5)
         (lambda: Identification(grid=block(), method="foo"), ["method 'foo'", "gauss-newton, paper"]),
         (lambda: Identification(method="paper", effects=["tether"]), ["paper does not support effects"]),
         (lambda: Identification(effects="tether"), ["write ['tether']"]),
-        (lambda: Identification(hypotheses=1), ["hypotheses must be at least 2, got 1"]),
+        (lambda: Identification(hypotheses=1), ["hypotheses must be a whole number of at least 2, got 1"]),
         (
             lambda: Exploration("foo", 3, 0.008, PokeSettings(), lambda thing, push: True, seed=0),
             ["Exploration: strategy", "'foo'", "random, most-different, most-distinctive"],
