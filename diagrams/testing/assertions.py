@@ -25,6 +25,7 @@ from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.results import Identification
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, SPEED_LIMITS
+from slipmap.models.settings import check_choice, check_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +106,15 @@ def assert_predicts(run: ExplorationRun | Identification, within: float, role: s
     Args:
         within: largest mean distance of the cells at the end of each push, m.
         role: `heldout`, or `fit` for the pushes that were learned from.
+
+    Raises:
+        TypeError, ValueError: an argument of another kind, another role, or a distance of a metre or more.
     """
+    check_choice("assert_predicts: role", role, ("heldout", "fit"))
+    if not 0 < within < 1:
+        raise ValueError(f"assert_predicts: within must lie between 0 and 1 m, got {within}")
     learned = _learned(run)
-    errors = learned.errors(role)
-    assert len(errors), f"no push has the role {role}, so nothing was predicted; ask for checks"
+    errors = _errors(learned, role)
     assert errors.max() <= within, (
         f"a push ended {1e3 * errors.max():.1f} mm from its prediction; {1e3 * within:.1f} mm are"
         f" allowed\n{_pushes(learned)}"
@@ -122,7 +128,7 @@ def assert_better_than_uniform(run: ExplorationRun | Identification, times: floa
         times: factor by which the error must be smaller.
     """
     learned = _learned(run)
-    own, uniform = learned.errors("heldout").mean(), learned.errors("heldout", "uniform_add").mean()
+    own, uniform = _errors(learned, "heldout").mean(), learned.errors("heldout", "uniform_add").mean()
     assert times * own < uniform, (
         f"the mean error is {1e3 * own:.1f} mm, that of a uniform object {1e3 * uniform:.1f} mm\n"
         f"{_pushes(learned)}"
@@ -131,11 +137,13 @@ def assert_better_than_uniform(run: ExplorationRun | Identification, times: floa
 
 def assert_alarm(watch: Watch) -> None:
     """Assert that the monitor gave an alarm: the object does not move as the model predicts."""
+    _check_watch(watch)
     assert any(push.alarm for push in watch.judged), f"no alarm\n{_judged(watch)}"
 
 
 def assert_quiet(watch: Watch, judged: int = 3) -> None:
     """Assert that the monitor gave no alarm on at least `judged` pushes; by default as many as one takes."""
+    _check_watch(watch)
     assert len(watch.judged) >= judged, (
         f"only {len(watch.judged)} pushes were judged, {judged} are required; make more\n{_judged(watch)}"
     )
@@ -167,6 +175,9 @@ def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> 
         commands: of a `Cell`.
         guard: of the scenario; `tip_speed` is used.
     """
+    if isinstance(commands, CommandLog):
+        raise TypeError("commands must be a list of logs, such as cell.commands; got one log")
+    check_kind("guard", guard, GuardSettings, "such as cell.scenario.guard")
     assert any(len(log.times) > 1 for log in commands), "no commands were received"
     for log in commands:
         if len(log.times) < 2:
@@ -185,7 +196,21 @@ def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> 
 
 
 def _learned(run: ExplorationRun | Identification) -> Identification:
-    return run.identification if isinstance(run, ExplorationRun) else run
+    learned = run.identification if isinstance(run, ExplorationRun) else run
+    check_kind("run", learned, Identification, "such as cell.explore() or slipmap.identify() returns")
+    return learned
+
+
+def _errors(learned: Identification, role: str) -> FloatArray:
+    """(B,) errors of the pushes with a role, at least one, m."""
+    errors = learned.errors(role)
+    missing = "ask for checks" if role == "heldout" else "ask for pushes"
+    assert len(errors), f"no push has the role {role}, so nothing was predicted; {missing}"
+    return errors
+
+
+def _check_watch(watch: Watch) -> None:
+    check_kind("watch", watch, Watch, "such as that of an exploration, run.watch")
 
 
 def _pushes(learned: Identification) -> str:

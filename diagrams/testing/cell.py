@@ -8,7 +8,7 @@ from typing import Any
 
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
-from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.network import LCM_URL, open_lcm
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
 from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, pregrasp
@@ -18,6 +18,7 @@ from slipmap.diagrams.testing.assertions import CommandLog, CommandRecorder
 from slipmap.diagrams.testing.faults import Fault, RelayProcess
 from slipmap.diagrams.testing.twins import LockstepCell, TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.settings import check_whole
 
 TWIN, LOCKSTEP = "twin", "lockstep"
 """The twin in a separate process, and the one that steps in lockstep with its driver."""
@@ -44,20 +45,24 @@ class Faults:
     happened: list[Fault] = field(default_factory=list)  # faults ordered so far, in order
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
     _way: RelayProcess | LockstepCell | None = None
+    _possible: bool = True  # whether messages pass through something that can spoil them
 
     def now(self, fault: Fault) -> None:
         """Start a fault now.
 
         Raises:
-            RuntimeError: the robot is idle in a cell that steps only with it.
+            RuntimeError: the cell was not opened for faults, or the robot is idle in a cell that steps only
+                with it.
         """
+        self._require_possible()
         if self._way is None:
             raise RuntimeError("faults: nothing is running; plan them with `when` before the robot starts")
         self.happened.append(fault)
         self._way.order(fault)
 
     def when(self, doing: str, fault: Fault, *, push: int = 1) -> None:
-        """Start a fault as soon as the robot enters a mode.
+        """Start a fault as soon as the robot enters a mode. One that has not started when the cell is closed
+        fails the test.
 
         Args:
             doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; in a pre-grasp also `planning`,
@@ -66,11 +71,26 @@ class Faults:
             push: number of the push during which it starts, from 1; towards the edge, numbering restarts.
 
         Raises:
-            ValueError: the robot has no such mode.
+            RuntimeError: the cell was not opened for faults.
+            ValueError: the robot has no such mode, or the number of the push is no whole number of at least 1.
         """
+        self._require_possible()
+        check_whole("faults: push", push, 1)
         if doing not in (known := {**DOING, **BRINGS}):
             raise ValueError(f"faults: the robot has no mode {doing!r}; choose one of {', '.join(known)}")
         self._planned.append((doing, push, fault))
+
+    def require_started(self) -> None:
+        """Raise AssertionError if a planned fault has not started: nothing was tested with it."""
+        left = [f"{fault} while {doing}, push {push}" for doing, push, fault in self._planned]
+        assert not left, f"faults that were planned did not start: {'; '.join(left)}; let the robot get there"
+
+    def _require_possible(self) -> None:
+        if not self._possible:
+            raise RuntimeError(
+                "faults: nothing can spoil the messages of this cell; open it with faulty=True, or let the"
+                " test use the fixture faults"
+            )
 
     def look(self, stage: str, done: int) -> None:
         """Start the faults planned for a stage of the run, as named by `explore`."""
@@ -103,7 +123,6 @@ class Cell:
         self._url, self._recorder = url, recorder
         self._positions: FloatArray | None = None
         self._logs: list[CommandLog] = []
-        self._runs = 0
         self._explored: Path | None = None
 
     @property
@@ -162,8 +181,9 @@ class Cell:
             return pregrasp(self.scenario, asked, hardware=where, progress=self._watch, record=record)
 
     def _next_folder(self, what: str) -> Path:
-        self._runs += 1
-        folder = self.folder / f"{self._runs}-{what}"
+        names = (path.name.partition("-")[0] for path in self.folder.iterdir())
+        last = max((int(number) for number in names if number.isdecimal()), default=0)
+        folder = self.folder / f"{last + 1}-{what}"
         folder.mkdir(parents=True)
         return folder
 
@@ -187,18 +207,20 @@ class Cell:
 
 @contextmanager
 def open_cell(
-    where: str, folder: Path, scenario: Scenario | None = None, *, faulty: bool = False
+    where: str, folder: str | Path, scenario: Scenario | None = None, *, faulty: bool = False
 ) -> Iterator[Cell]:
     """Open a cell until the block ends.
 
     Args:
         where: `twin`, `lockstep`, or the LCM address of a cell that runs on its own.
-        folder: where recordings go; made if missing.
+        folder: where recordings go, after those that are there; made if missing.
         scenario: of the cell; `small_scenario(where)` if None.
         faulty: whether faults will be injected; messages then pass through one more process.
 
     Raises:
+        AssertionError: at the end of the block, if a planned fault has not started.
         HardwareError: a process could not be started, or a malformed address.
+        ValueError: neither a twin nor an address.
         ValueError, RendererUnavailable: as for `Station`.
 
     Example:
@@ -210,10 +232,13 @@ def open_cell(
         ...         cell.scenario.object.name
         'hammer'
     """
-    scenario = scenario or small_scenario(where)
+    check_where(where)
+    scenario, folder = scenario or small_scenario(where), Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if where == LOCKSTEP:
-        yield Cell(scenario, folder)
+        cell = Cell(scenario, folder)
+        yield cell
+        cell.faults.require_started()
         return
     with ExitStack() as processes:
         url = where
@@ -231,5 +256,14 @@ def open_cell(
         recorder = CommandRecorder(url, folder / "commands.bin")
         processes.callback(recorder.close)
         cell = Cell(scenario, folder, url, recorder)
-        cell.faults._way = relay
+        cell.faults._way, cell.faults._possible = relay, relay is not None
         yield cell
+        cell.faults.require_started()
+
+
+def check_where(where: str) -> None:
+    """Raise ValueError for a cell that is neither a twin nor an address."""
+    if where not in (TWIN, LOCKSTEP) and not where.startswith("udpm://"):
+        raise ValueError(
+            f"the cell must be {TWIN}, {LOCKSTEP}, or an LCM address such as {LCM_URL}, got {where!r}"
+        )

@@ -61,9 +61,13 @@ def scenario(pytestconfig: pytest.Config) -> Scenario:
 def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> Iterator[Cell]:
     """The cell with an object on its table; for a real one, a person is asked to put it there."""
     from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
-    from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, open_cell
+    from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, check_where, open_cell
 
     where = _where(request.config)
+    try:
+        check_where(where)
+    except ValueError as error:
+        raise pytest.UsageError(f"--cell: {error}") from error
     if where in (TWIN, LOCKSTEP):
         try:
             require_renderer()

@@ -9,15 +9,18 @@ import pytest
 
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.testing import (
     CommandLog,
     Fault,
     Faults,
     assert_alarm,
+    assert_better_than_uniform,
     assert_limits_kept,
     assert_predicts,
     assert_quiet,
+    open_cell,
 )
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.results import Identification
@@ -112,5 +115,61 @@ def test_planned_faults_begin_once_when_the_robot_gets_there():
     assert ordered == faults.happened == [stop]
     with pytest.raises(ValueError, match="looking, choosing"):
         faults.when("dancing", stop)
+    with pytest.raises(ValueError, match="faults: push must be a whole number of at least 1, got 0"):
+        faults.when("pushing", stop, push=0)
     with pytest.raises(RuntimeError, match="nothing is running"):
         Faults().now(stop)
+
+
+def test_a_fault_that_never_starts_fails_the_test(tmp_path):
+    with (
+        pytest.raises(AssertionError, match="did not start: status stop while pushing, push 5"),
+        open_cell("lockstep", tmp_path) as cell,
+    ):
+        cell.faults.when("pushing", Fault("status", "stop"), push=5)
+    with (  # what failed before says more
+        pytest.raises(ZeroDivisionError),
+        open_cell("lockstep", tmp_path) as cell,
+    ):
+        cell.faults.when("pushing", Fault("status", "stop"))
+        raise ZeroDivisionError
+
+
+def test_faults_are_refused_where_nothing_can_inject_them(tmp_path, monkeypatch):
+    recorder = SimpleNamespace(close=lambda: None)
+    monkeypatch.setattr("slipmap.diagrams.testing.cell.CommandRecorder", lambda url, path: recorder)
+    with open_cell("udpm://239.255.76.67:7667?ttl=0", tmp_path) as cell:
+        for plan in (lambda fault: cell.faults.when("choosing", fault), cell.faults.now):
+            with pytest.raises(RuntimeError, match="open it with faulty=True"):
+                plan(Fault("status", "stop"))
+
+
+def test_a_cell_opened_again_keeps_what_was_recorded(tmp_path):
+    folder = str(tmp_path / "recordings")
+    for number, what in enumerate(["exploration", "pregrasp", "exploration"], 1):
+        with open_cell("lockstep", folder) as cell:
+            assert cell._next_folder(what) == tmp_path / "recordings" / f"{number}-{what}"
+
+
+def test_a_cell_that_does_not_exist_is_refused(tmp_path):
+    for where in ("lockstp", "simulated"):
+        with (
+            pytest.raises(ValueError, match=f"must be twin, lockstep, or an LCM address .* got '{where}'"),
+            open_cell(where, tmp_path),
+        ):
+            pass
+
+
+def test_assertions_say_what_they_take():
+    with pytest.raises(ValueError, match="role must be one of heldout, fit, got 'held-out'"):
+        assert_predicts(learned(0.001), within=0.01, role="held-out")
+    with pytest.raises(ValueError, match="within must lie between 0 and 1 m, got 10"):
+        assert_predicts(learned(0.001), within=10)
+    with pytest.raises(TypeError, match="watch must be a Watch"):
+        assert_alarm(learned(0.001))
+    with pytest.raises(TypeError, match=r"a list of logs, such as cell\.commands"):
+        assert_limits_kept(log(0.5), GuardSettings())
+    with pytest.raises(TypeError, match=r"guard must be a GuardSettings, such as cell\.scenario\.guard"):
+        assert_limits_kept([log(0.5)], Scenario())
+    with pytest.raises(AssertionError, match="no push has the role heldout"):
+        assert_better_than_uniform(learned())
