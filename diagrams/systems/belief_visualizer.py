@@ -245,6 +245,7 @@ class BeliefVisualizer(PythonSystem):
         self._level = self._height
         self._drawn_belief: Belief | None = None
         self._beliefs = 0
+        self._has_blank_board = False
         self._shown_hypotheses = 0
         self._drawn_push: tuple[float, ...] = ()
         self._pushes = 0
@@ -260,12 +261,13 @@ class BeliefVisualizer(PythonSystem):
             self.optional_input(context, name)
             for name in ("belief", "object_pose", "predicted_pose", "push", "seen_object")
         )
+        self._level = self._height
         if seen_object is not None:
             self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
         if belief is not None and not belief.same_as(self._drawn_belief):
             self._add_belief(belief)
-        if self._drawn_belief is None:
-            self._add_blank_board(time)
+        if belief is None:  # before the first push, also of a simulation that starts again
+            self._show_no_belief(time)
         else:
             self._choose(time)
             observed = seen.pose if seen is not None and seen.valid else None
@@ -274,20 +276,30 @@ class BeliefVisualizer(PythonSystem):
             self._place(observed, predicted, time)
         self._draw_push(getattr(push, "push", push), time)
         status, watch, repair = (self.optional_input(context, name) for name in ("status", "watch", "repair"))
-        self._sign(status, watch, repair, time)
+        self._sign(status, watch, repair, belief, time)
 
-    def _add_blank_board(self, time: float) -> None:
-        """Show an empty board until there is a belief."""
-        if "board" not in self._visible:
+    def _show_no_belief(self, time: float) -> None:
+        """Show an empty board and hide what was drawn of earlier beliefs."""
+        if not self._has_blank_board:
+            self._has_blank_board = True
             self._hidden("board/0", billboard(blank_legend(), *BOARD))
             self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
-            self._show("board", "board/0", time)
+        self._show("board", "board/0", time)
+        if self._drawn_belief is not None:
+            for place in ("tiles", "centers", "observed"):
+                self._show(place, "", time)
+            self._place(None, None, time)
 
     def _sign(
-        self, status: LoopStatus | None, watch: Watch | None, repair: Repair | None, time: float
+        self,
+        status: LoopStatus | None,
+        watch: Watch | None,
+        repair: Repair | None,
+        belief: Belief | None,
+        time: float,
     ) -> None:
         """Show a notice above the board, if there is anything to say."""
-        words = words_of(status, watch, repair, self._drawn_belief)
+        words = words_of(status, watch, repair, belief)
         if words is None:
             self._show("notice", "", time)
             return

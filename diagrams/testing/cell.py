@@ -72,7 +72,7 @@ class Faults:
 
         Raises:
             RuntimeError: the cell was not opened for faults.
-            ValueError: the robot has no such mode, or the number of the push is no whole number of at least 1.
+            ValueError: the robot has no such mode, or `push` is no whole number of at least 1.
         """
         self._require_possible()
         check_whole("faults: push", push, 1)

@@ -176,6 +176,19 @@ def test_what_is_there(played: tuple[Recorder, Simulator]) -> None:
     assert maps == {"observed/maps/2/mass/0", "board/2/mass", "push/2"}
 
 
+def test_a_simulation_that_starts_again_shows_nothing_of_the_one_before(
+    played: tuple[Recorder, Simulator],
+) -> None:
+    recorder, simulator = played
+    simulator.AdvanceTo(0.65)
+    again = Simulator(simulator.get_system())
+    again.AdvanceTo(0.05)
+    assert recorder.visible() == {"board/0", "push/3"}
+    again.AdvanceTo(0.45)
+    assert {"observed", "predicted", "observed/maps/3/mass/0", "board/3/mass"} <= recorder.visible()
+    assert "board/0" not in recorder.visible()
+
+
 def test_sliders_choose_hypothesis_and_map(played: tuple[Recorder, Simulator]) -> None:
     recorder, simulator = played
     simulator.AdvanceTo(0.25)
