@@ -26,6 +26,7 @@ from .diagrams.systems.goal_and_push_planner import GoalAndPushPlanner as GoalAn
 from .diagrams.systems.identification import Identification as Identification
 from .diagrams.systems.measurement_logger import TrialLogger as TrialLogger
 from .diagrams.systems.model_monitor import ModelMonitor as ModelMonitor
+from .diagrams.systems.multiverse_slider import MultiverseSlider as MultiverseSlider
 from .diagrams.testing import open_cell as open_cell
 from .models.effects.effect import Effect as Effect, Parameter as Parameter
 from .models.effects.library import LIBRARY as LIBRARY

@@ -9,6 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.arm_motion import FingerKinematics, tip_force
+from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
@@ -64,7 +65,8 @@ class FingerPath(PythonSystem):
     Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world, as `CellGridSlider` takes it; NaN between
       pushes.
-    - `push`: `TablePush | None`, the push under way, as `BeliefVisualizer` draws it.
+    - `push`: `ActivePush | None`, the push under way with its number from 1, as `MultiverseSlider` and
+      `BeliefVisualizer` take it.
 
     Args:
         pushes: in the world, in order.
@@ -98,14 +100,15 @@ class FingerPath(PythonSystem):
                 f" `TrialLogger`, which would record two pushes as one; got {pause:g} s"
             )
         begins = steps + np.cumsum([0, *(len(path) + steps for path in paths)])[:-1]
-        self._made = list(zip(begins, pushes, paths, strict=True))
+        numbered = [ActivePush(number, push) for number, push in enumerate(pushes, 1)]
+        self._made = list(zip(begins, numbered, paths, strict=True))
         self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0
         """Time at which the last push and the pause after it are over, s."""
         time = {self.time_ticket()}
         self.declare_vector_output("finger", 4, lambda context: self._now(context)[1], time)
         self.declare_output("push", lambda context: self._now(context)[0], time)
 
-    def _now(self, context: Context) -> tuple[TablePush | None, FloatArray]:
+    def _now(self, context: Context) -> tuple[ActivePush | None, FloatArray]:
         """The push under way and the state (4,) of the finger."""
         steps = context.get_time() / self._h
         step = int(steps + 1e-6)

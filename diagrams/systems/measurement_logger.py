@@ -66,11 +66,11 @@ class _Recording:
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
     def touched(self, rest: Row) -> bool:
-        """Whether the finger touched the object: it moved or pushed back, or no forces are known."""
+        """Whether the finger touched the object: it moved or pushed back."""
         off = np.abs(np.subtract(rest, self.poses[0]))[1:]
         if (off > _MOVED).any():
             return True
-        return not self.forces or bool(np.hypot(*np.array(self.forces)[:, 1:3].T).max() > _FELT)
+        return bool(np.hypot(*np.array(self.forces)[:, 1:3].T).max() > _FELT) if self.forces else False
 
 
 class MeasurementLogger(PythonSystem):
@@ -174,7 +174,7 @@ class TrialLogger(PythonSystem):
 
     Inputs:
     - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, for example from `CellGridSlider`; θ
-      is continuous beyond ±π.
+      is continuous beyond ±π. NaN while a tracker does not see it; such rows are left out.
     - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN while the finger is not down.
     - `finger_force`: (2,) of the finger on the object, world, N; without it, trials have no forces.
     Outputs:
@@ -183,7 +183,8 @@ class TrialLogger(PythonSystem):
       `ModelMonitor` take it.
 
     A trial lasts from when the finger comes down until it is lifted for at least a period. The finger should
-    come down clear of the object, and the object should be at rest at both times.
+    come down clear of the object, and the object should be at rest at both times. A push is not a trial if it
+    touched nothing, so that the object neither moved nor pushed back, or if fewer than two poses were seen.
 
     Args:
         fit: number of trials to learn from; later ones are for judging. If None, all are to learn from.
@@ -221,15 +222,15 @@ class TrialLogger(PythonSystem):
         center = finger[:2]
         if np.isfinite(center).all():
             self._refuse_jump(now, time, finger)
-            now = replace(
-                now,
-                poses=(*now.poses, (time, *self._pose.Eval(context))),
-                tips=(*now.tips, (time, *center)),
-            )
-            force = self.optional_input(context, "finger_force")
-            if force is not None:
+            now = replace(now, tips=(*now.tips, (time, *center)))
+            pose, force = self._pose.Eval(context), self.optional_input(context, "finger_force")
+            if np.isfinite(pose).all():
+                now = replace(now, poses=(*now.poses, (time, *pose)))
+            if force is not None and np.isfinite(force).all():
                 now = replace(now, forces=(*now.forces, (time, *force, 0.0)))
         elif now.tips:
+            if len(now.poses) < 2 or not now.touched(now.poses[-1]):
+                return _Recording(now.trials)
             role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
             now = now.completed(role, now.poses)
         return now

@@ -13,6 +13,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from slipmap.models.settings import check_positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,8 @@ class MultiverseSlider(PythonSystem):
         finger: (4,), as for `CellGridSlider`.
         belief: abstract, `Belief` or None.
         object_pose: abstract, `ObservedPose`.
-        push: abstract, None or something with a `push_id`, such as an `ActivePush`.
+        push: abstract, None or something with a `push_id`, such as the `push` of a
+            `FingerPath`.
         trials: abstract, tuple of the `Trial`s recorded so far. Their number is the place of the present push
             in the experiment, on which effects such as `friction_drift` depend, and by which a `ModelMonitor`
             knows which trial these hypotheses predict. So a push must begin after the trial of the one before
@@ -101,10 +103,47 @@ class MultiverseSlider(PythonSystem):
 
     Args:
         h: step, s.
+
+    Raises:
+        ValueError: the step is not positive.
+
+    Example:
+        A `ModelMonitor` judges a push of a simulated hammer by what was learned from another push.
+
+        >>> import slipmap
+        >>> from pydrake.all import ConstantValueSource, DiagramBuilder, Simulator, Value
+        >>> dataset, truth = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
+        >>> belief = slipmap.identify(dataset, hypotheses=4, friction_laws=False).belief
+        >>> push = slipmap.TablePush([0.04, 0.0], [-0.04, 0.0], speed=0.05)
+        >>> builder = DiagramBuilder()
+        >>> finger = builder.AddSystem(slipmap.FingerPath([push], h=0.005))
+        >>> slider = builder.AddSystem(slipmap.CellGridSlider(dataset.grid, truth, 0.008, h=0.005))
+        >>> logger = builder.AddSystem(slipmap.TrialLogger())
+        >>> known = builder.AddSystem(ConstantValueSource(Value[object](belief)))
+        >>> universes = builder.AddSystem(slipmap.MultiverseSlider(h=0.005))
+        >>> monitor = builder.AddSystem(slipmap.ModelMonitor(dataset.noise))
+        >>> for block, port, others in [
+        ...     (finger, "finger", {slider: "finger", logger: "finger", universes: "finger"}),
+        ...     (finger, "push", {universes: "push"}),
+        ...     (slider, "object_pose", {logger: "object_pose"}),
+        ...     (slider, "finger_force", {logger: "finger_force"}),
+        ...     (logger, "observed_pose", {universes: "object_pose", monitor: "object_pose"}),
+        ...     (logger, "trials", {universes: "trials", monitor: "trials"}),
+        ...     (known, "y0", {universes: "belief"}),
+        ...     (universes, "universes", {monitor: "universes"}),
+        ... ]:
+        ...     for other, own in others.items():
+        ...         builder.Connect(block.GetOutputPort(port), other.GetInputPort(own))
+        >>> simulator = Simulator(builder.Build())
+        >>> _ = simulator.AdvanceTo(finger.end)
+        >>> watch = monitor.watch(monitor.GetMyContextFromRoot(simulator.get_context()))
+        >>> len(watch.judged), watch.alarm
+        (1, False)
     """
 
     def __init__(self, h: float) -> None:
         super().__init__()
+        check_positive("MultiverseSlider: h", h, "s")
         self.set_name("multiverse_slider")
         self._h = h
         self.DeclareVectorInputPort("wrench", 5)

@@ -105,11 +105,23 @@ class ObservedPose:
 
         Args:
             pose: (3,) x, y (m) and theta (rad) of O in W. Theta must continue beyond ±pi instead of jumping.
+                NaN or infinite numbers, as of a tracker that lost the object, make a missing pose.
             time: at which the object had this pose, s.
             covariance: (3, 3), m², m rad, rad²; zero if None.
+
+        Raises:
+            ValueError: another shape.
         """
-        spread = np.zeros((3, 3)) if covariance is None else covariance
-        return ObservedPose(np.asarray(pose, dtype=float), spread, True, "", time)
+        spread = np.zeros((3, 3)) if covariance is None else np.asarray(covariance, dtype=float)
+        values = np.asarray(pose, dtype=float)
+        if values.shape != (3,) or spread.shape != (3, 3):
+            raise ValueError(
+                "ObservedPose.of: pose must be x, y and theta (3,), covariance (3, 3); got the shapes"
+                f" {values.shape} and {spread.shape}"
+            )
+        if not (np.isfinite(values).all() and np.isfinite(spread).all()):
+            return ObservedPose.unseen("no object", time, "the tracker reports no finite pose")
+        return ObservedPose(values, spread, True, "", time)
 
     @staticmethod
     def unseen(reason: Reason, time: float = 0.0, detail: str = "") -> ObservedPose:

@@ -74,7 +74,8 @@ def test_the_finger_is_nowhere_between_pushes_and_moves_as_it_says() -> None:
         pushing.append(finger.read("push"))
         finger.advance(H)
     down = np.isfinite(places).all(axis=1)
-    assert [push is PUSH for push in pushing] == down.tolist()
+    assert [push is not None and push.push is PUSH for push in pushing] == down.tolist()
+    assert {push.push_id for push in pushing if push is not None} == {1, 2}
     assert np.flatnonzero(np.diff(down.astype(int)) == 1).shape == (2,)
     assert not down[:49].any()
     first = np.array(places)[down][: len(PUSH.path(H)) - 1]
@@ -135,6 +136,8 @@ def recorded(finger: FingerPath, logger: TrialLogger) -> tuple[Trial, ...]:
     pose = builder.AddSystem(ConstantVectorSource(np.zeros(3)))
     builder.Connect(finger.GetOutputPort("finger"), logger.GetInputPort("finger"))
     builder.Connect(pose.get_output_port(), logger.GetInputPort("object_pose"))
+    force = builder.AddSystem(ConstantVectorSource(np.ones(2)))
+    builder.Connect(force.get_output_port(), logger.GetInputPort("finger_force"))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(finger.end + 0.3)
     trials: tuple[Trial, ...] = logger.GetOutputPort("trials").Eval(
@@ -147,7 +150,9 @@ def test_pushes_after_those_to_learn_from_judge_and_force_is_optional() -> None:
     logger = DrivenBlock(TrialLogger(fit=1, period=H), object_pose=np.zeros(3), finger=np.full(4, np.nan))
     for x in (0.1, 0.2):
         logger.set(finger=[x, 0.0, 0.0, 0.0])
-        logger.advance(5 * H)
+        logger.advance(4 * H)
+        logger.set(object_pose=[x, 0.0, 0.0])
+        logger.advance(H)
         logger.set(finger=np.full(4, np.nan))
         logger.advance(5 * H)
     trials = logger.read("trials")
@@ -156,13 +161,45 @@ def test_pushes_after_those_to_learn_from_judge_and_force_is_optional() -> None:
     ]  # fmt: skip
     assert trials[0].ft_wrench is None and trials[0].tip_pose.time[0] == 0.0
     seen = logger.read("observed_pose")
-    assert seen.valid and seen.time == pytest.approx(20 * H) and not seen.pose.any()
+    assert seen.valid and seen.time == pytest.approx(20 * H) and seen.pose.tolist() == [0.2, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("force", [None, [0.1, 0.0], [np.nan, np.nan], [2.0, 0.0]])
+def test_a_push_that_touches_nothing_is_no_trial(force: list[float] | None) -> None:
+    """It would calm a monitor, whose hypotheses do not move either."""
+    inputs = {} if force is None else {"finger_force": force}
+    logger = DrivenBlock(TrialLogger(period=H), object_pose=np.zeros(3), finger=np.zeros(4), **inputs)
+    logger.advance(5 * H)
+    logger.set(finger=np.full(4, np.nan))
+    logger.advance(5 * H)
+    assert len(logger.read("trials")) == (force == [2.0, 0.0])
+
+
+def test_rows_of_a_tracker_that_lost_the_object_are_left_out() -> None:
+    lost, logger = np.full(3, np.nan), DrivenBlock(TrialLogger(period=H), object_pose=np.zeros(3))
+    for poses in ([[0.0] * 3, lost, [0.02, 0.0, 0.1]], [lost, lost, [0.03, 0.0, 0.1]]):
+        for pose in poses:
+            logger.set(finger=np.zeros(4), object_pose=pose)
+            logger.advance(2 * H)
+        logger.set(finger=np.full(4, np.nan), object_pose=lost)
+        logger.advance(2 * H)
+        assert not logger.read("observed_pose").valid
+    (first,) = logger.read("trials")  # in the second push, it was not seen to move
+    assert first.object_pose.time == pytest.approx([0.0, H, 4 * H, 5 * H])
+    assert len(first.tip_pose.time) == 6
 
 
 def test_a_pose_from_elsewhere_is_a_valid_one() -> None:
     seen = ObservedPose.of([0.1, 0.2, 4.0], time=2.0)
     assert seen.valid and seen.reason == "" and seen.time == 2.0
     assert seen.pose.tolist() == [0.1, 0.2, 4.0] and not seen.covariance.any()
+
+
+def test_a_pose_that_is_not_finite_is_missing_and_one_of_another_shape_refused() -> None:
+    lost = ObservedPose.of([0.0, np.nan, 0.0], time=2.0)
+    assert not lost.valid and lost.time == 2.0 and lost.why == "the tracker reports no finite pose"
+    with pytest.raises(ValueError, match=r"pose must be x, y and theta \(3,\).* got the shapes \(2,\)"):
+        ObservedPose.of([0.1, 0.2])
 
 
 def test_without_cells_it_says_what_to_connect(made: dict[str, Any]) -> None:
