@@ -7,10 +7,10 @@ from numbers import Integral, Real
 from typing import Any
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+def check_choice(name: str, value: object, choices: Sequence[object]) -> None:
     """Raise ValueError, with the choices, for a value that is none of them."""
     if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+        raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")
 
 
 def check_whole(name: str, value: object, least: int) -> None:
@@ -19,7 +19,7 @@ def check_whole(name: str, value: object, least: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
 
 
-def check_positive(name: str, value: float, unit: str) -> None:
+def check_positive(name: str, value: float | None, unit: str) -> None:
     """Raise ValueError for anything but a positive and finite number."""
     if not (isinstance(value, Real) and 0 < value < math.inf):
         raise ValueError(f"{name} must be positive and finite, got {value} {unit}")
@@ -28,7 +28,7 @@ def check_positive(name: str, value: float, unit: str) -> None:
 def check_not_negative(name: str, value: float, unit: str) -> None:
     """Raise ValueError for anything but zero and positive finite numbers."""
     if not (isinstance(value, Real) and 0 <= value < math.inf):
-        raise ValueError(f"{name} must not be negative, got {value} {unit}")
+        raise ValueError(f"{name} must be finite and not negative, got {value} {unit}")
 
 
 def check_kind(name: str, value: object, kind: type, source: str) -> None:

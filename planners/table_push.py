@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.settings import check_not_negative
 
 TOUCH_SPEED = 0.05
 """Speed at which a tap meets the object, m/s: fast enough to be brief, too slow for an impact."""
@@ -105,10 +106,11 @@ class TablePush:
             rest: shortest rest before and after, s.
 
         Raises:
-            ValueError: a step that is not positive.
+            ValueError: a step that is not positive, or a negative rest.
         """
         if not (np.isfinite(step) and step > 0):
             raise ValueError(f"push: the step must be positive, got {step} s")
+        check_not_negative("push: rest", rest, "s")
         pace = self.pace(_ACCELERATION, _ACCELERATION)
         times: FloatArray = step * np.arange(int(np.ceil((pace.duration + 2 * rest) / step)) + 1, dtype=float)
         return self.begin + np.outer(pace.at(times - rest), self.direction)

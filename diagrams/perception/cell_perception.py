@@ -37,6 +37,7 @@ from slipmap.models.perception.seen_object import (
     sharpened,
 )
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import check_whole
 
 FRAMES = 15  # pictures of the object at rest in the first look; an odd number keeps its edges sharp
 _KNOWN_AFTER = 0.5  # of the time between two pictures, allowed for processing one
@@ -238,8 +239,7 @@ class CellPerception(PythonSystem):
         places: int = sys.maxsize,
     ) -> None:
         super().__init__()
-        if cells < 1:
-            raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
+        check_whole("CellPerception: cells", cells, 1)
         load_kernels()
         config = camera or CameraConfig()
         self._eye = _Eye(config.intrinsics, cells, OLD / config.rate, places)

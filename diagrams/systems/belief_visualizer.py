@@ -28,6 +28,7 @@ from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, rib
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import check_choice, check_positive
 
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
@@ -201,6 +202,9 @@ class BeliefVisualizer(PythonSystem):
         which: index of the map to begin with, see `MAPS`. By default it is the product, the one that slow
             pushes show.
 
+    Raises:
+        ValueError: the period is not positive, or there is no such map.
+
     Example:
         >>> import slipmap
         >>> from pydrake.geometry import Meshcat
@@ -220,6 +224,8 @@ class BeliefVisualizer(PythonSystem):
         which: int = 2,
     ) -> None:
         super().__init__()
+        check_positive("BeliefVisualizer: period", period, "s")
+        check_choice("BeliefVisualizer: which", which, range(len(MAPS)))
         self.set_name("belief_visualizer")
         self._meshcat = meshcat
         self._path = path

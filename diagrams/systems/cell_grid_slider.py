@@ -71,6 +71,24 @@ def _reported(report: Report | None, true: Any, effects: Any) -> Any:
     return with_gradient(reported, np.hstack([by_true, by_effects]), np.concatenate([true, effects]))
 
 
+def tip_of(finger: Any, h: float) -> Any:
+    """(2, 2) centre before and after a step of h (s) of a finger (4,); `NO_FINGER` if all of it is NaN.
+
+    Raises:
+        ValueError: only some of its numbers are finite.
+    """
+    values = values_of(finger)
+    if np.isnan(values).all():
+        return NO_FINGER
+    if not np.isfinite(values).all():
+        raise ValueError(
+            "finger: its centre and velocity must be four finite numbers, or four NaN where there is none;"
+            f" got {values.tolist()}"
+        )
+    center, velocity = np.split(finger, 2)
+    return np.vstack([center, center + h * velocity])
+
+
 def values_of(numbers: Any) -> FloatArray:
     """Values (N,) of numbers (N,) that may carry derivatives."""
     if numbers.dtype == object:
@@ -120,7 +138,8 @@ def CellGridSlider_(T: type) -> type:
             maps: one model, the default of the parameters. Without effects' parameters, effects vanish.
             finger_radius: m.
             h: step, s.
-            effects: of the model, in the order of the columns of `Maps.effects`.
+            effects: of the model, in the order of the columns of `Maps.effects`; those of the library may be
+                given by name.
             gravity: m/s².
             smoothing: see `Smoothing`.
             table: see `Slider`; cells beyond its rim carry nothing.
@@ -142,7 +161,7 @@ def CellGridSlider_(T: type) -> type:
             maps: Maps,
             finger_radius: float,
             h: float,
-            effects: Sequence[Effect] = (),
+            effects: Sequence[Effect | str] = (),
             gravity: float = 9.81,
             smoothing: Smoothing | None = None,
             table: Table | None = None,
@@ -154,6 +173,7 @@ def CellGridSlider_(T: type) -> type:
             self.set_name("cell_grid_slider")
             self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing, table)
             models = self.stepper.models(maps)
+            effects = self.stepper.effects
             self._arguments = (grid, models.maps, finger_radius, h, effects, gravity, smoothing, table)
             self._history = history_length(self.stepper)
             vector = BasicVector_[T]
@@ -223,10 +243,7 @@ def CellGridSlider_(T: type) -> type:
             size = self.stepper.size
             wrench, finger = (self.get_input_port(i) for i in (self._wrench, self._finger))
             wrench = wrench.Eval(context) if wrench.HasValue(context) else NO_WRENCH
-            tip = NO_FINGER
-            if finger.HasValue(context):
-                center, velocity = np.split(finger.Eval(context), 2)
-                tip = np.vstack([center, center + self.stepper.h * velocity])
+            tip = tip_of(finger.Eval(context), self.stepper.h) if finger.HasValue(context) else NO_FINGER
             parameters = _parameters(context)
             begin, order = values_of(parameters[PUSH])
             derive = T is AutoDiffXd

@@ -14,10 +14,12 @@ from slipmap.diagrams.systems.identification import learning
 from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.diagrams.systems.workers import begun
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.prediction import predict
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.settings import check_whole
 from slipmap.planners.settings import RepairSettings
 from slipmap.planners.telling_push import OF_FORCE, Question, robots_question
 
@@ -126,6 +128,10 @@ class Diagnosis(PythonSystem):
         before: an earlier process's result; pushes already dealt with do not start a diagnosis.
         worker: runs the computation; if None, this process does, and the simulation waits.
 
+    Raises:
+        EffectError: an unknown effect.
+        ValueError: `pushes` or `seed` is no whole number, or too small.
+
     Example:
         >>> import slipmap
         >>> block = slipmap.Diagnosis(lambda trials, grid: None, slipmap.Scenario().repair, pushes=5)
@@ -145,6 +151,9 @@ class Diagnosis(PythonSystem):
         worker: Executor | None = None,
     ) -> None:
         super().__init__()
+        effects_named(effects)
+        check_whole("Diagnosis: pushes", pushes, 1)
+        check_whole("Diagnosis: seed", seed, 0)
         self._make_dataset = make_dataset
         self._settings, self._most = settings, pushes + settings.pushes
         self._given, self._seed, self._worker = tuple(effects), seed, worker

@@ -13,6 +13,7 @@ from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.settings import check_not_negative, check_positive
 from slipmap.planners.table_push import TablePush
 
 
@@ -37,6 +38,7 @@ class FingerMotion(PythonSystem):
 
     def __init__(self, period: float) -> None:
         super().__init__()
+        check_positive("FingerMotion: period", period, "s")
         self._period = period
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.declare_inputs("execution")
@@ -76,7 +78,8 @@ class FingerPath(PythonSystem):
         rest: time for which the finger is down and at rest before and after it moves, s.
 
     Raises:
-        ValueError: a pause that is negative or not finite, or too short for a `TrialLogger` to see that the
+        ValueError: a step that is not positive, a negative rest, a pause that is negative or not finite, or
+            too short for a `TrialLogger` to see that the
             finger is up between two pushes.
 
     Example:
@@ -90,8 +93,7 @@ class FingerPath(PythonSystem):
         super().__init__()
         self._h = h
         paths = [push.path(h, rest=rest) for push in pushes]
-        if not (np.isfinite(pause) and pause >= 0):
-            raise ValueError(f"FingerPath: pause must not be negative, got {pause} s")
+        check_not_negative("FingerPath: pause", pause, "s")
         steps = round(pause / h)
         up = h * (steps + 1)  # a path's last point is a time step without a finger
         if len(pushes) > 1 and up < PERIOD - 1e-9:

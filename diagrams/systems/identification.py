@@ -17,6 +17,7 @@ from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise, Table
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
+from slipmap.models.settings import check_kind, check_positive
 
 PERIOD = 0.05
 
@@ -57,7 +58,8 @@ class Identification(PythonSystem):
 
     Raises:
         EffectError: an unknown effect.
-        ValueError: an unknown method, effects with one that does not support them, or too few hypotheses.
+        TypeError, ValueError: an unknown method, effects with one that does not support them, too few
+            hypotheses, or an argument that cannot be what it is to be.
 
     Example:
         >>> import slipmap
@@ -93,6 +95,10 @@ class Identification(PythonSystem):
             noise=noise,
         )
         self._grid = grid
+        if grid is not None:
+            check_kind("Identification: grid", grid, CellGrid, "such as slipmap.cells_from_polygon makes")
+        check_positive("Identification: finger_radius", finger_radius, "m")
+        check_positive("Identification: gravity", gravity, "m/s²")
         learning(effects, method)
         check_draws(hypotheses, seed)
         self._effects, self._method = tuple(effects), method

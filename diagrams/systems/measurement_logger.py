@@ -23,7 +23,7 @@ from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.settings import check_positive
+from slipmap.models.settings import check_positive, check_whole
 
 PERIOD = 0.01  # s between two rows of tip and force
 LOOKS = 6  # number of poses at rest that are averaged for the start of a trial, and again for its end
@@ -106,6 +106,7 @@ class MeasurementLogger(PythonSystem):
 
     def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
         super().__init__()
+        check_whole("MeasurementLogger: fit", fit, 0)
         self._fit = fit
         self.declare_inputs("object_pose")
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
@@ -191,8 +192,8 @@ class TrialLogger(PythonSystem):
         period: s between two rows.
 
     Raises:
-        ValueError: the period is not positive; in a simulation, if the finger jumps while it is down: two
-            pushes would be one trial.
+        ValueError: the period is not positive, or `fit` no whole number; in a simulation, if the finger jumps
+            while it is down: two pushes would be one trial.
 
     Example:
         >>> import slipmap
@@ -204,6 +205,8 @@ class TrialLogger(PythonSystem):
     def __init__(self, fit: int | None = None, period: float = PERIOD) -> None:
         super().__init__()
         check_positive("TrialLogger: period", period, "s")
+        if fit is not None:
+            check_whole("TrialLogger: fit", fit, 0)
         self._fit, self._period = fit, period
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self.DeclareVectorInputPort("finger", 4)

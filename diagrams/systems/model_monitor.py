@@ -21,7 +21,7 @@ from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.settings import check_positive
+from slipmap.models.settings import check_not_negative, check_positive
 
 LEVEL = 0.01
 """Rate of false alarms: with a correct model, at least 1/LEVEL pushes pass on average before the evidence
@@ -149,7 +149,8 @@ class ModelMonitor(PythonSystem):
         before: state left by an earlier process.
 
     Raises:
-        ValueError: the noise of position or angle is not given, or the period is not positive.
+        ValueError: the noise of position or angle is not given, the period is not positive, or the
+            model's error is negative.
 
     Example:
         >>> import slipmap
@@ -169,6 +170,7 @@ class ModelMonitor(PythonSystem):
         super().__init__()
         self.set_name("model_monitor")
         check_positive("ModelMonitor: period", period, "s")
+        check_not_negative("ModelMonitor: model_error", model_error, "of the path")
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
         self._error, self._error_held = (

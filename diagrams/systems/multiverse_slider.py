@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
+from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then, tip_of
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray
@@ -178,7 +178,7 @@ class MultiverseSlider(PythonSystem):
             universes.models,
             universes.states,
             wrench=NO_WRENCH if wrench is None else wrench,
-            tip=NO_FINGER if finger is None else np.array([finger[:2], finger[:2] + self._h * finger[2:]]),
+            tip=NO_FINGER if finger is None else tip_of(finger, self._h),
             time=context.get_time() - universes.begin,
             order=universes.order,
         )

@@ -18,7 +18,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, EffectError
 from slipmap.models.files import replaced_file
 from slipmap.models.physics.compiled import CACHE_FOLDER
 
@@ -69,6 +69,7 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
     text = None
     key = _key(effects)
     if key is None:
+        _check_declarations(effects)
         text = _source(effects)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
     folder = CACHE_FOLDER / f"effects-{key}"
@@ -116,6 +117,17 @@ def _key(effects: Sequence[Effect]) -> str | None:
         digest.update(path.read_bytes())
         digest.update(type(effect).__qualname__.encode())
     return digest.hexdigest()[:16]
+
+
+def _check_declarations(effects: Sequence[Effect]) -> None:
+    """Refuse a user's effects that are declared wrongly, such as with a scale of 0."""
+    from slipmap.models.effects.effect_checks import check_declaration  # it imports SymPy
+
+    for effect in effects:
+        try:
+            check_declaration(effect)
+        except EffectError as error:
+            raise EffectError(f"effect {effect.name}: {error}") from error
 
 
 def _source(effects: Sequence[Effect]) -> str:

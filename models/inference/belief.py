@@ -22,7 +22,6 @@ from slipmap.models.files import UnreadableFile, check_archive, replaced_file
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.measurements import PushDataset, Table
 from slipmap.models.measurements.known_maps import known_document
-from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 
@@ -323,15 +322,12 @@ def _table_of(written: dict[str, Any] | None) -> Table | None:
     if written is None:
         return None
     center, size = [float(value) for value in written["center"]], written["size"]
-    table = Table(
+    return Table(
         "round" if written["shape"] == "round" else "rectangle",
         (center[0], center[1]),
         None if written["radius"] is None else float(written["radius"]),
         None if size is None else (float(size[0]), float(size[1])),
     )
-    if not np.isfinite([*center, *corners_of(table).ravel(), table.radius or 0.0]).all():
-        raise ValueError("the table's numbers must be finite")
-    return table
 
 
 def _checksum(arrays: dict[str, FloatArray]) -> str:

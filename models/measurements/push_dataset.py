@@ -19,7 +19,7 @@ from shapely.geometry import Polygon
 
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.settings import check_choice, check_kind
+from slipmap.models.settings import check_choice, check_kind, check_not_negative, check_positive
 
 Role = Literal["fit", "heldout"]
 
@@ -34,7 +34,7 @@ LEAST_SPREAD = 1e-3
 """Smallest relative standard deviation with which anything is known."""
 
 _FAR_AWAY = 1.0  # m
-_LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
+_LEAST_NOISE = {"position": (1e-6, "m"), "angle": (1e-5, "rad"), "tip": (1e-6, "m"), "force": (1e-4, "N")}
 
 
 class DatasetError(ValueError):
@@ -181,6 +181,9 @@ class Noise:
 
     Values below 1 µm, 10 µrad, 1 µm or 0.1 mN, such as 0 in a simulation, are raised to these, since no model
     is more exact.
+
+    Raises:
+        ValueError: a negative or not finite number.
     """
 
     position: float | None = None
@@ -189,9 +192,10 @@ class Noise:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        for name, least in _LEAST_NOISE.items():
+        for name, (least, unit) in _LEAST_NOISE.items():
             value = getattr(self, name)
             if value is not None:
+                check_not_negative(f"Noise: {name}", value, unit)
                 object.__setattr__(self, name, max(value, least))
 
 
@@ -200,7 +204,7 @@ class Table:
     """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
 
     Raises:
-        ValueError: another shape.
+        ValueError: another shape, or one without the length that it needs; numbers that are not finite.
 
     Example:
         >>> from slipmap.models.measurements import Table
@@ -216,6 +220,14 @@ class Table:
 
     def __post_init__(self) -> None:
         check_choice("Table: shape", self.shape, ("round", "rectangle"))
+        if np.shape(self.center) != (2,) or not np.isfinite(self.center).all():
+            raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
+        if self.shape == "round":
+            check_positive("Table: radius of a round table", self.radius, "m")
+        elif np.shape(self.size) != (2,) or not all(0 < length < np.inf for length in self.size or ()):
+            raise ValueError(
+                f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
+            )
 
     @property
     def polygon(self) -> Polygon:

@@ -11,6 +11,7 @@ from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
+from slipmap.models.settings import check_kind
 
 GOOD_SENSORS = Noise(position=0.25e-3, angle=float(np.radians(0.15)), tip=0.05e-3, force=0.05)
 """A marker tracker, a stiff arm and a wrist force sensor."""
@@ -68,6 +69,9 @@ def record_pushes(
         )
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"recording: rate must be positive, got {rate} Hz")
+    check_kind("recording: rng", rng, np.random.Generator, "such as np.random.default_rng(0)")
+    for index, push in enumerate(pushes):
+        check_kind(f"recording: push {index}", push, Push, "such as a Candidate's push(pose)")
     timed = [_sampled(push, rate, index) for index, push in enumerate(pushes)]
     rollouts = slider.rollout(maps, timed)
     trials = []

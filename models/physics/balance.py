@@ -83,17 +83,9 @@ def fall_probability(margins: FloatArray, probability: FloatArray, margin: float
 
 
 def corners_of(table: Table) -> FloatArray:
-    """(4, 2) corners of a rectangular table, counter-clockwise, world, m; (0, 2) for a round one.
-
-    Raises:
-        ValueError: the table lacks the dimension that its shape needs.
-    """
+    """(4, 2) corners of a rectangular table, counter-clockwise, world, m; (0, 2) for a round one."""
     if table.shape == "round":
-        if table.radius is None or not table.radius > 0:
-            raise ValueError(f"table: a round table needs a positive radius in m, got {table.radius}")
         return np.zeros((0, 2))
-    if table.size is None or not min(table.size) > 0:
-        raise ValueError(f"table: a rectangular table needs a positive size (x, y) in m, got {table.size}")
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     return np.asarray(table.center) + half * np.asarray(table.size)
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.kernel_arguments import JoinedPushes
+from slipmap.models.settings import check_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +162,8 @@ def join_pushes(
     """
     if not pushes:
         raise ValueError("rollout: needs at least one push")
+    for index, push in enumerate(pushes):
+        check_kind(f"rollout: push {index}", push, Push, "such as a Candidate's push(pose)")
     wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
     samples, forces = [push.pose_samples for push in pushes], [push.force_steps for push in pushes]
     return JoinedPushes(
@@ -188,7 +191,8 @@ def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], mode
         return starts if models == 1 else np.repeat(starts, models, axis=0)
     shape = (models, len(own), 3)
     if np.shape(given) != shape or not np.isfinite(given).all():
-        raise ValueError(f"rollout: {name} must be finite and of shape {shape}, got {np.shape(given)}")
+        got = np.shape(given) if np.shape(given) != shape else "numbers that are not finite"
+        raise ValueError(f"rollout: {name} must be finite and of shape {shape}, got {got}")
     # Read-only arrays are another type to Numba and would have the kernels compiled again.
     return np.require(given, float, ("C", "W"))
 

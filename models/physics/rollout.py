@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import Program, program_of
+from slipmap.models.effects.registry import effects_given
 from slipmap.models.geometry import placed
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import corners_of
@@ -81,19 +82,25 @@ class Rollouts:
 
     def poses_of(self, push: int) -> FloatArray:
         """(K, S_b, 3) poses of one push."""
-        return self.poses[:, self.pose_at[push] : self.pose_at[push + 1]]
+        return self.poses[:, _rows(self.pose_at, push)]
 
     def forces_of(self, push: int) -> FloatArray:
         """(K, T_b, 2) forces of one push."""
-        return self.forces[:, self.force_at[push] : self.force_at[push + 1]]
+        return self.forces[:, _rows(self.force_at, push)]
 
     def d_poses_of(self, push: int) -> FloatArray:
         """(K, S_b, 3, P) derivatives of the poses of one push."""
-        return self.d_poses[:, self.pose_at[push] : self.pose_at[push + 1]]
+        return self.d_poses[:, _rows(self.pose_at, push)]
 
     def d_forces_of(self, push: int) -> FloatArray:
         """(K, T_b, 2, P) derivatives of the forces of one push."""
-        return self.d_forces[:, self.force_at[push] : self.force_at[push + 1]]
+        return self.d_forces[:, _rows(self.force_at, push)]
+
+
+def _rows(at: NDArray[np.int64], push: int) -> slice:
+    """Where the rows of one push are; -1 is the last push, as in a list."""
+    begin = range(len(at) - 1)[push]
+    return slice(at[begin], at[begin + 1])
 
 
 class RolloutError(ArithmeticError):
@@ -111,7 +118,7 @@ class Slider:
         finger_radius: m.
         gravity: m/s².
         smoothing: see `Smoothing`.
-        effects: in the order of the columns of `Maps.effects`.
+        effects: in the order of the columns of `Maps.effects`; those of the library may be given by name.
         table: the table top. Cells beyond its rim carry no load and the others carry all of it, see
             `support.py`. Without a table every cell is supported everywhere.
 
@@ -119,8 +126,8 @@ class Slider:
         program: compiled formulas of the effects, None if there are none.
 
     Raises:
-        EffectError: a formula cannot be used.
-        ValueError: a number is not positive, or the table lacks a dimension that its shape needs.
+        EffectError: an unknown effect, one given twice, or a formula that cannot be used.
+        ValueError: a number is not positive.
 
     Example:
         >>> import numpy as np
@@ -140,7 +147,7 @@ class Slider:
         finger_radius: float,
         gravity: float = 9.81,
         smoothing: Smoothing | None = None,
-        effects: Sequence[Effect] = (),
+        effects: Sequence[Effect | str] = (),
         table: Table | None = None,
     ) -> None:
         if not (np.isfinite(finger_radius) and finger_radius > 0):
@@ -156,7 +163,7 @@ class Slider:
         rx, ry = np.ascontiguousarray(grid.centers.T)
         common = Common(rx, ry, float(grid.width), grid.edges, self.finger_radius, size, smooth)
         self._common = tuple(common)
-        self.effects = tuple(effects)
+        self.effects = effects_given(effects)
         self.program = program_of(self.effects) if self.effects else None
         self.table = table
         self._top = None if table is None else _top_of(table)
@@ -346,7 +353,7 @@ class Slider:
 
 def _top_of(table: Table) -> FloatArray:
     """(1, 1, 7) centre, radius, half sides, cosine and sine of a table, see `Rim.top`."""
-    corners = corners_of(table)  # checks the table's dimensions
+    corners = corners_of(table)
     if len(corners) == 0:
         return np.array([[[*table.center, float(table.radius or 0.0), 0.0, 0.0, 1.0, 0.0]]])
     return np.array([[[*table.center, 0.0, *(corners[2] - np.asarray(table.center)), 1.0, 0.0]]])

@@ -46,7 +46,7 @@ class Stepper(Slider):
         grid: cells and outline.
         finger_radius: m.
         h: step, s.
-        effects: in the order of the columns of `Maps.effects`.
+        effects: see `Slider`.
         gravity: m/s².
         smoothing: see `Smoothing`.
         table: see `Slider`.
@@ -59,7 +59,7 @@ class Stepper(Slider):
         grid: CellGrid,
         finger_radius: float,
         h: float,
-        effects: Sequence[Effect] = (),
+        effects: Sequence[Effect | str] = (),
         gravity: float = 9.81,
         smoothing: Smoothing | None = None,
         table: Table | None = None,

@@ -100,8 +100,8 @@ def test_a_model_with_steps_of_its_own_meets_a_finger_without_jumps(share: float
 @pytest.mark.parametrize(
     ("pause", "h", "words"),
     [
-        (-1.0, 0.005, "pause must not be negative, got -1.0 s"),
-        (np.nan, 0.005, "pause must not be negative"),
+        (-1.0, 0.005, "pause must be finite and not negative, got -1.0 s"),
+        (np.nan, 0.005, "pause must be finite and not negative"),
         (0.0, 0.005, "pause must be at least 0.01 s.*two pushes as one; got 0 s"),
     ],
 )

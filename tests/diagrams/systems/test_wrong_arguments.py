@@ -7,19 +7,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from moving_blocks import block
+from driven_block import DrivenBlock
+from moving_blocks import block, block_belief
 
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions
+from slipmap.diagrams.perception.cell_perception import CellPerception
+from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
+from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
+from slipmap.diagrams.systems.diagnosis import Diagnosis
 from slipmap.diagrams.systems.exploration import Exploration
+from slipmap.diagrams.systems.finger import FingerMotion, FingerPath
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.identification import Identification
-from slipmap.diagrams.systems.measurement_logger import TrialLogger
+from slipmap.diagrams.systems.measurement_logger import MeasurementLogger, TrialLogger
 from slipmap.diagrams.systems.model_monitor import ModelMonitor
+from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
 from slipmap.models.measurements.push_dataset import Noise, Table
-from slipmap.planners.settings import PokeSettings, PregraspSettings
+from slipmap.planners.settings import PokeSettings, PregraspSettings, RepairSettings
+from slipmap.planners.table_push import TablePush
 
 NOISE = Noise(position=1e-3, angle=1e-2)
+PUSH = TablePush(np.array([-0.1, 0.0]), np.array([-0.05, 0.0]), 0.05)
 ROUND = Table("round", (0.0, 0.0), radius=0.5)
 
 
@@ -62,6 +71,34 @@ ROUND = Table("round", (0.0, 0.0), radius=0.5)
         (lambda: ModelMonitor(NOISE, period=np.nan), ["ModelMonitor: period", "nan"]),
         (lambda: TrialLogger(period=0.0), ["TrialLogger: period", "got 0.0 s"]),
         (lambda: TrialLogger(period=-0.01), ["TrialLogger: period", "got -0.01 s"]),
+        (lambda: TrialLogger(fit=-1), ["TrialLogger: fit", "at least 0, got -1"]),
+        (lambda: MeasurementLogger(fit=1.5), ["MeasurementLogger: fit", "got 1.5"]),  # type: ignore[arg-type]
+        (lambda: ModelMonitor(NOISE, model_error=-1), ["ModelMonitor: model_error", "got -1"]),
+        (lambda: ModelMonitor(NOISE, model_error=np.nan), ["ModelMonitor: model_error", "got nan"]),
+        (lambda: MultiverseSlider(-1), ["MultiverseSlider: h", "got -1 s"]),
+        (lambda: MultiverseSlider(np.nan), ["MultiverseSlider: h", "got nan s"]),
+        (lambda: FingerMotion(-1), ["FingerMotion: period", "got -1 s"]),
+        (lambda: FingerPath([PUSH], 0.01, rest=-1), ["push: rest", "got -1 s"]),
+        (lambda: FingerPath([PUSH], 0.01, rest=np.nan), ["push: rest", "got nan s"]),
+        (lambda: BeliefVisualizer(None, period=-1), ["BeliefVisualizer: period", "got -1 s"]),  # type: ignore
+        (lambda: BeliefVisualizer(None, which=3), ["BeliefVisualizer: which", "0, 1, 2, got 3"]),  # type: ignore
+        (lambda: CellPerception(cells=np.nan), ["CellPerception: cells", "got nan"]),  # type: ignore[arg-type]
+        (lambda: diagnosis(effects="tether"), ["write ['tether']"]),
+        (lambda: diagnosis(effects=["foo"]), ["unknown effect 'foo'"]),
+        (lambda: diagnosis(pushes=-1), ["Diagnosis: pushes", "got -1"]),
+        (lambda: diagnosis(seed=None), ["Diagnosis: seed", "got None"]),
+        (lambda: Identification(finger_radius=-1), ["Identification: finger_radius", "got -1 m"]),
+        (lambda: Identification(gravity=np.nan), ["Identification: gravity", "got nan"]),
+        (lambda: Identification(hypotheses=2.5), ["hypotheses", "got 2.5"]),  # type: ignore[arg-type]
+        (lambda: Identification(seed=-1), ["seed", "got -1"]),
+        (lambda: slider(["tether", "tether"]), ["effect tether is given twice"]),
+        (lambda: slider("tether"), ["write ['tether']"]),
+        (lambda: Noise(position=-1.0), ["Noise: position", "got -1.0 m"]),
+        (lambda: Noise(angle=np.nan), ["Noise: angle", "got nan rad"]),
+        (lambda: Table("round", (0.0, 0.0)), ["radius of a round table", "got None m"]),
+        (lambda: Table("round", (np.nan, 0.0), radius=0.5), ["Table: center", "nan"]),
+        (lambda: Table("rectangle", (0.0, 0.0), size=(1.0,)), ["size of a rectangular"]),  # type: ignore
+        (lambda: Table("rectangle", (0.0, 0.0), size=(1.0, -1.0)), ["size of a rectangular", "-1.0"]),
     ],
 )
 def test_a_wrong_argument_is_refused_by_its_name(make: Callable[[], Any], named: list[str]) -> None:
@@ -69,6 +106,27 @@ def test_a_wrong_argument_is_refused_by_its_name(make: Callable[[], Any], named:
         make()
     for name in named:
         assert name in str(refused.value)
+
+
+def diagnosis(**given: Any) -> Diagnosis:
+    return Diagnosis(lambda trials, grid: None, RepairSettings(), **{"pushes": 5} | given)  # type: ignore
+
+
+def slider(effects: Any) -> Any:
+    belief = block_belief(1)
+    return CellGridSlider(belief.grid, belief.maps, 0.008, 0.005, effects)
+
+
+def test_a_grid_is_not_a_text() -> None:
+    with pytest.raises(TypeError, match=r"Identification: grid must be a CellGrid, such as .*; got a str"):
+        Identification(grid="a")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("finger", [[-0.1, 0.0, np.nan, np.nan], [np.inf, 0.0, 0.0, 0.0]])
+def test_a_finger_of_which_only_a_part_is_known_is_refused(finger: list[float]) -> None:
+    driven = DrivenBlock(slider([]), finger=finger)
+    with pytest.raises(ValueError, match=r"finger: .* four finite numbers, or four NaN"):
+        driven.advance(0.01)
 
 
 def test_numbers_of_numpy_are_numbers() -> None:

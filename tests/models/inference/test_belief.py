@@ -70,8 +70,9 @@ def test_the_table_is_kept_and_used(table, tmp_path):
 
 
 def test_a_table_that_is_none_is_refused(tmp_path):
-    broken = example().on(Table("round", (0.1, -0.2), radius=-1.0))
-    broken.save(tmp_path / "belief.npz")
+    broken = Table("round", (0.1, -0.2), radius=0.5)
+    vars(broken)["radius"] = -1.0
+    example().on(broken).save(tmp_path / "belief.npz")
     with pytest.raises(BeliefError, match="radius"):
         Belief.load(tmp_path / "belief.npz")
 

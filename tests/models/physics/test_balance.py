@@ -147,7 +147,7 @@ def test_wrong_arguments_are_named(bar: CellGrid) -> None:
         balance_margins(bar, [[0.0, 0.0]], [[0.0, 0.0]], ROUND)
     with pytest.raises(ValueError, match="centres of mass, row 0 is not finite"):
         balance_margins(bar, [[np.nan, 0.0]], [[0.0, 0.0, 0.0]], ROUND)
-    with pytest.raises(ValueError, match="positive radius"):
+    with pytest.raises(ValueError, match="radius of a round table"):
         balance_margins(bar, [[0.0, 0.0]], [[0.0, 0.0, 0.0]], Table("round", (0.0, 0.0)))
 
 

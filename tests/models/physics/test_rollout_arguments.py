@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from sliding_objects import FINGER_RADIUS, drive, finger_push, line, random_maps, rectangle
 
+from slipmap.models.effects.effect import Effect, EffectError, Parameter
+from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
+from slipmap.planners.table_push import TablePush
 
 H = 0.01
 STEPS = 20
@@ -230,3 +233,53 @@ class TestAcceptedInput:
         assert np.array_equal(maps[2].mass, maps.mass[2:3])
         assert np.array_equal(maps[1:3].mu_finger, maps.mu_finger[1:3])
         assert np.array_equal(maps[np.array([3, 0])].mu, maps.mu[[3, 0]])
+
+
+def test_the_last_push_is_minus_one() -> None:
+    rollouts = Slider(GRID, FINGER_RADIUS).rollout(MAPS, [push(), push(pose_times=np.array([0.1]))])
+    assert np.array_equal(rollouts.poses_of(-1), rollouts.poses_of(1)) and rollouts.poses_of(-1).size
+    with pytest.raises(IndexError):
+        rollouts.forces_of(2)
+
+
+def test_what_is_no_push_is_refused_by_its_number() -> None:
+    asked = TablePush([-0.06, 0.0], [0.04, 0.0], 0.05)  # type: ignore[arg-type]
+    slider = Slider(GRID, FINGER_RADIUS)
+    with pytest.raises(TypeError, match=r"push 1 must be a Push, such as a Candidate's .* got a TablePush"):
+        slider.rollout(MAPS, [push(), asked])  # type: ignore[list-item]
+    with pytest.raises(TypeError, match="push 0 must be a Push"):
+        record_pushes(slider, MAPS[:1], [asked], np.random.default_rng(0))  # type: ignore[list-item]
+    with pytest.raises(TypeError, match=r"rng must be a Generator, such as np\.random\.default_rng"):
+        record_pushes(slider, MAPS[:1], [push()], 0)  # type: ignore[arg-type]
+
+
+def test_effects_are_taken_by_name() -> None:
+    assert [effect.name for effect in Slider(GRID, FINGER_RADIUS, effects=["table_tilt"]).effects] == [
+        "table_tilt"
+    ]
+    with pytest.raises(EffectError, match="effect table_tilt is given twice"):
+        Slider(GRID, FINGER_RADIUS, effects=["table_tilt", "table_tilt"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"low": 1.0, "high": -1.0}, "low 1.0 must be below high -1.0"),
+        ({"scale": 0.0}, "scale must be positive, got 0.0"),
+        ({"null": 9.0}, "null or start 9.0 must lie between"),
+        ({"name": "a b"}, "its name must be a Python identifier"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
+    given = {"name": "thrust", "unit": "N", "meaning": "of air", "low": -5.0, "high": 5.0, "scale": 0.2}
+
+    class Fan(Effect):
+        name = "fan"
+        sentence = "A fan blows."
+        parameters = (Parameter(**{"null": 0.0, **given, **changes}),)
+
+        def force(self, body: Any, p: Any) -> Any:
+            return getattr(p, self.parameters[0].name), 0, 0
+
+    with pytest.raises(EffectError, match=f"effect fan: parameter .*{words}"):
+        Slider(GRID, FINGER_RADIUS, effects=[Fan()])
