@@ -12,6 +12,7 @@ from slipmap.models.geometry import rotated, turn
 from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
+from slipmap.models.settings import check_kind, check_whole
 
 DESCENT = 0.008
 """Clearance around the finger where it comes down, m: the largest combined error of object and finger."""
@@ -100,7 +101,7 @@ def candidate_pushes(
         approach: distance before first touch, m.
 
     Raises:
-        ValueError: a number out of range; the message names it.
+        TypeError, ValueError: another kind of argument, a number out of range; the message names it.
         NoReachablePush: the finger fits nowhere, for example because it is too thick.
 
     Example:
@@ -111,6 +112,7 @@ def candidate_pushes(
         >>> len(candidates), candidates[0].push([0, 0, 0]).tip.shape[1]
         (3, 2)
     """
+    check_kind("exploration: rng", rng, np.random.Generator, "such as np.random.default_rng(0)")
     _check(finger_radius, count, length, speed, cone, approach)
     clear = min(DESCENT, approach * np.cos(cone)) - TOUCH
     cells, points, normals = contour_cells(grid, finger_radius + clear)
@@ -160,8 +162,7 @@ def _check(
     cone: float,
     approach: float,
 ) -> None:
-    if count < 1:
-        raise ValueError(f"exploration: count must be at least 1, got {count}")
+    check_whole("exploration: count", count, 1)
     for name, value in (("finger_radius", finger_radius), ("approach", approach)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"exploration: {name} must be a positive length in m, got {value}")

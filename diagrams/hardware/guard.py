@@ -147,7 +147,8 @@ class _Rules:
             late = _late(inputs.image_age, settings.image_age)
             yield (
                 f"the camera's last picture is {late}",
-                "check that the camera's driver is running and the cable is connected, then start again",
+                "check that the camera's driver is running, the cable is connected and no depth is NaN, then"
+                " start again",
             )
         if not np.isfinite([inputs.measured, inputs.torque]).all():
             yield "the arm's status has a value that is not a number", _LINK

@@ -41,6 +41,7 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.seen_object import angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, silent
+from slipmap.models.settings import check_kind
 
 _LONGEST = 60.0  # s of simulated time per push, in addition to moving, after which the loop is given up
 _LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take time
@@ -155,6 +156,8 @@ def explore(
         >>> len(run.dataset.trials), len(run.identification.belief)
         (1, 4)
     """
+    check_kind("explore: scenario", scenario, Scenario, "such as slipmap.Scenario()")
+    check_kind("explore: options", options, LoopOptions, "such as slipmap.LoopOptions(pushes=3)")
     report = progress or silent
     pushes = options.pushes + options.checks
 

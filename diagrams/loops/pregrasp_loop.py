@@ -38,7 +38,7 @@ from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.maps import Maps
 from slipmap.models.progress import silent
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.models.settings import check_choice, check_whole
+from slipmap.models.settings import check_choice, check_kind, check_whole
 from slipmap.planners.settings import METHODS, PregraspSettings
 
 BRINGS = {
@@ -283,6 +283,8 @@ def pregrasp(
         >>> run.held  # doctest: +SKIP
         True
     """
+    check_kind("pregrasp: scenario", scenario, Scenario, "such as slipmap.Scenario()")
+    check_kind("pregrasp: options", options, PregraspOptions, "such as slipmap.PregraspOptions()")
     with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
         patience = exploration_run.longest_push(scenario, real=cell is not None)

@@ -20,6 +20,7 @@ from slipmap.models.effects.program import Report
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.measurements.simulated import check_begins_clear
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Smoothing
@@ -145,7 +146,8 @@ def CellGridSlider_(T: type) -> type:
             table: see `Slider`; cells beyond its rim carry nothing.
 
         Raises:
-            ValueError: maps of another grid, of other effects, or of more than one model.
+            ValueError: maps of another grid, of other effects, or of more than one model; in a simulation, a
+                finger of which only some numbers are finite, or that appears deep inside the object.
 
         Example:
             >>> import slipmap
@@ -244,6 +246,9 @@ def CellGridSlider_(T: type) -> type:
             wrench, finger = (self.get_input_port(i) for i in (self._wrench, self._finger))
             wrench = wrench.Eval(context) if wrench.HasValue(context) else NO_WRENCH
             tip = tip_of(finger.Eval(context), self.stepper.h) if finger.HasValue(context) else NO_FINGER
+            if not values_of(state[6:8]).any():  # it was not there, or felt nothing
+                pose, center = values_of(state[:3]), values_of(tip.ravel())[:2]
+                check_begins_clear("CellGridSlider: contact", self.stepper, pose, center)
             parameters = _parameters(context)
             begin, order = values_of(parameters[PUSH])
             derive = T is AutoDiffXd

@@ -1,10 +1,12 @@
 """Whether recorded finger and object fit together: depth of the finger's rim in the outline over whole
 pushes, its common cause, and the angle of the force to the contact normal."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import shapely
@@ -14,6 +16,9 @@ from slipmap.models.geometry import angle_between, compose, rotated, seen_from
 from slipmap.models.measurements.motion import pose_scatter
 from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
+
+if TYPE_CHECKING:
+    from slipmap.models.physics.rollout import Slider
 
 CALIBRATION_ERROR = 3e-3  # m; good laboratories reach 2 mm
 
@@ -43,12 +48,12 @@ _SOME_WRONG = 0.2  # share of rows beyond that angle, if some other frame makes
 _WOULD_FIT = 0.85  # of the rows fit; beyond half of the rows it is reported anyway
 
 
-def gaps(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
+def gaps(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:
     """(k,) gap between the finger at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
     return signed_distance(setup, tips, poses) - setup.finger_radius
 
 
-def signed_distance(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
+def signed_distance(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:
     """(k,) distance of world points (k, 2) to the object's rim, negative inside, m."""
     points = shapely.points(seen_from(tips, np.broadcast_to(poses, (len(tips), 3))))
     rim = shapely.distance(setup.grid.polygon.boundary, points)
@@ -92,7 +97,7 @@ class ContactRows:
             return self.deepest
         return -float(near[max(1, int(np.ceil(_DEEPEST_SHARE * len(near))))])
 
-    def chosen(self, rows: NDArray[np.int_]) -> "ContactRows":
+    def chosen(self, rows: NDArray[np.int_]) -> ContactRows:
         """Some of the rows."""
         return ContactRows(
             self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows],

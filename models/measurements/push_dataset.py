@@ -224,7 +224,7 @@ class Table:
             raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
         if self.shape == "round":
             check_positive("Table: radius of a round table", self.radius, "m")
-        elif np.shape(self.size) != (2,) or not all(0 < length < np.inf for length in self.size or ()):
+        elif self.size is None or len(self.size) != 2 or not all(0 < side < np.inf for side in self.size):
             raise ValueError(
                 f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
             )

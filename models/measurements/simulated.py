@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 
 from slipmap.models.geometry import rotated, seen_from
+from slipmap.models.measurements.contact import gaps
 from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -15,6 +16,10 @@ from slipmap.models.settings import check_kind
 
 GOOD_SENSORS = Noise(position=0.25e-3, angle=float(np.radians(0.15)), tip=0.05e-3, force=0.05)
 """A marker tracker, a stiff arm and a wrist force sensor."""
+
+
+DEEPEST = 5e-3
+"""Depth of a finger that begins a push, m, beyond which no error of the sensors explains it."""
 
 
 def record_pushes(
@@ -47,8 +52,9 @@ def record_pushes(
         height, mass: of the object, m and kg, if the dataset is to state them.
 
     Raises:
-        ValueError: several models, a push without a finger, a number of held-out pushes that does not fit, or
-            a rate that is not positive.
+        TypeError: something other than pushes and a generator.
+        ValueError: several models, a push without a finger or with one that begins inside the object, a
+            number of held-out pushes that does not fit, or a rate that is not positive.
 
     Example:
         >>> import numpy as np
@@ -72,6 +78,8 @@ def record_pushes(
     check_kind("recording: rng", rng, np.random.Generator, "such as np.random.default_rng(0)")
     for index, push in enumerate(pushes):
         check_kind(f"recording: push {index}", push, Push, "such as a Candidate's push(pose)")
+    for index, push in enumerate(pushes):
+        check_begins_clear(f"recording: push {index}", slider, push.start_pose, push.tip[0])
     timed = [_sampled(push, rate, index) for index, push in enumerate(pushes)]
     rollouts = slider.rollout(maps, timed)
     trials = []
@@ -107,6 +115,22 @@ def record_pushes(
         trials=tuple(trials),
         fingerprint=digest.hexdigest(),
     )
+
+
+def check_begins_clear(name: str, slider: Slider, pose: FloatArray, tip: FloatArray) -> None:
+    """Raise ValueError for a finger that is first felt deep inside the object, which would be shot away.
+
+    Args:
+        name: what begins, for the message.
+        slider: the object and the finger's radius.
+        pose: (3,) of the object.
+        tip: (2,) centre of the finger, world, m; NaN where there is none.
+    """
+    depth = -float(gaps(slider, tip[None], pose)[0]) if np.isfinite(tip).all() else 0.0
+    if depth > DEEPEST:
+        raise ValueError(
+            f"{name} begins with the finger {1e3 * depth:.0f} mm inside the object; let it begin clear of it"
+        )
 
 
 def _sampled(push: Push, rate: float, index: int) -> Push:

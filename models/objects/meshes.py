@@ -404,7 +404,7 @@ def _unit(mesh: trimesh.Trimesh, metres_per_unit: float | None, source: str) -> 
 
 def _turn_to_z(up: ArrayLike) -> FloatArray:
     """(3, 3) smallest rotation that takes `up` to z."""
-    direction = np.asarray(up, dtype=float)
+    direction = np.zeros(0) if isinstance(up, str) else np.asarray(up, dtype=float)
     if direction.shape != (3,) or not np.all(np.isfinite(direction)) or np.linalg.norm(direction) == 0:
         raise ValueError(f"mesh: up must be a direction of three finite numbers, not all zero, got {up!r}")
     direction = direction / np.linalg.norm(direction)

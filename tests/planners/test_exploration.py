@@ -173,6 +173,7 @@ def test_a_finger_that_fits_nowhere_is_refused():
     ("change", "named"),
     [
         ({"count": 0}, "count"),
+        ({"count": 1.5}, "count must be a whole number"),
         ({"finger_radius": -1.0}, "finger_radius"),
         ({"approach": np.nan}, "approach"),
         ({"length": (0.2, 0.1)}, "length"),
@@ -184,3 +185,8 @@ def test_numbers_out_of_range_are_named(change, named):
     arguments = {"finger_radius": RADIUS, "count": 1} | change
     with pytest.raises(ValueError, match=named):
         candidate_pushes(rectangle(), rng=np.random.default_rng(0), **arguments)
+
+
+def test_a_seed_is_not_a_generator():
+    with pytest.raises(TypeError, match=r"rng must be a Generator, such as np\.random\.default_rng"):
+        candidate_pushes(rectangle(), RADIUS, 0, 1)

@@ -129,5 +129,15 @@ def test_a_finger_of_which_only_a_part_is_known_is_refused(finger: list[float]) 
         driven.advance(0.01)
 
 
+def test_a_finger_that_appears_inside_the_object_is_refused() -> None:
+    """It would shoot the object away. One that keeps in contact, or overlaps by an error, is not."""
+    driven = DrivenBlock(slider([]), finger=[0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match=r"begins with the finger 28 mm inside the object"):
+        driven.advance(0.01)
+    driven = DrivenBlock(slider([]), finger=[-0.035, 0.0, 0.1, 0.0])
+    driven.advance(0.05)
+    assert driven.read("object_pose")[0] > 1e-3
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
     assert LoopOptions(pushes=np.int64(3)).pushes == 3  # type: ignore[arg-type]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,10 @@ def test_wrong_arguments_are_named(change, complaint):
     }
     with pytest.raises(ValueError, match=complaint):
         record_pushes(**arguments | change)
+
+
+def test_a_push_that_begins_inside_the_object_is_refused():
+    slider, push = square(), push_along_x()
+    inside = replace(push, tip=push.tip + np.array([0.03, 0.0]))
+    with pytest.raises(ValueError, match="push 1 begins with the finger 25 mm inside the object"):
+        record_pushes(slider, maps(slider), [push, inside], np.random.default_rng(0))

@@ -107,6 +107,11 @@ def test_direction_of_up(up, x, y):
     assert_allclose(grid.polygon.bounds, [u.min(), v.min(), u.max(), v.max()], atol=1e-12)
 
 
+def test_up_is_not_a_letter():
+    with pytest.raises(ValueError, match=r"up must be a direction of three finite numbers, .* got 'w'"):
+        cells_from_mesh(hammer(), count=60, up="w")
+
+
 def test_view_along_up_equals_the_turned_mesh():
     up = np.array([0.2, -0.3, 0.9])
     axis = np.cross(up, [0, 0, 1])
