@@ -340,7 +340,7 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
     offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
     starts = np.array([observation.push.start_pose for observation in observations]) + offsets
     pushes = [observation.likely_pushes for observation in observations]
-    tracks = max(len(likely) for likely in pushes)
+    tracks = min(len(p), max(len(likely) for likely in pushes))
     ends = np.empty((len(p), len(observations), 3))
     for track in range(tracks):
         own = slice(track, None, tracks)

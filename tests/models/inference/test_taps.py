@@ -1,5 +1,7 @@
 """What an object's coasting tells that slow pushing does not: where its weight is."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slipmap.models.inference.belief import Belief
@@ -48,6 +50,8 @@ def test_the_noise_of_the_fingers_track_widens_where_a_tapped_object_may_stop():
             spread[name, jitter] = np.median(ends[..., 1].std(axis=0))
     assert spread["taps", 1e-4] > 2e-4 > 10 * spread["taps", 0.0]
     assert spread["slow", 1e-4] < 3e-5
+    few = replace(belief, maps=belief.maps[:3], probability=np.full(3, 1 / 3))
+    assert drawn_ends(few, observations, sensor_noise(dataset)).shape == (3, 4, 3)
 
 
 def test_taps_find_a_heavy_end_that_slides_easily():
