@@ -5,6 +5,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Iterable, Sequence
+from hashlib import sha256
 from pathlib import Path
 
 from slipmap.models.effects.effect import Effect, EffectError, failure
@@ -46,7 +47,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         row = before.count(b"\n") + 1
         raise EffectError(f"effect file {path}, line {row}: it holds a null byte; save it as UTF-8 text")
     # SymPy formulas are keyed by their file; another module of the same name must not be mistaken for it.
-    name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
+    name = f"slipmap_effect_file_{sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None:
         raise EffectError(f"effect file {path}: it is not a Python file; its name must end with .py")

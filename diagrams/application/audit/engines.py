@@ -11,7 +11,10 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
 from importlib import import_module, metadata
+from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -179,9 +182,9 @@ class Subject:
         if missing:
             raise BadInput(f"engine {name}: it has no {' and no '.join(missing)}(); see docs/audit.md")
         dt = getattr(kind, "dt", None)
-        if not (isinstance(dt, int | float) and SHORTEST_STEP <= (full_dt or dt) <= LONGEST_STEP):
+        if not (isinstance(dt, Real) and SHORTEST_STEP <= (full_dt or float(dt)) <= LONGEST_STEP):
             raise BadInput(
-                f"engine {name}: its time step `dt` must lie between {SHORTEST_STEP:g} and {LONGEST_STEP:g}"
+                f"engine {name}: its time step `dt` must be a number between {SHORTEST_STEP:g} and {LONGEST_STEP:g}"
                 f" s, got {'none' if dt is None else repr(dt)}"
             )
         self.dt = float(dt)
@@ -259,7 +262,9 @@ class Laid:
         speed = np.gradient(tip, subject.dt, axis=0)
         subject.ask("reset", engine.reset, pose.copy(), velocity.copy(), tip[0].copy())
         poses = [subject.ask_numbers("pose", engine.pose, 3)]
-        if np.abs(poses[0] - pose)[:2].max() > 1e-3:
+        off = poses[0] - pose
+        off[2] = np.arctan2(np.sin(off[2]), np.cos(off[2]))
+        if np.abs(off[:2]).max() > 1e-3 or abs(off[2]) > 0.01:
             raise BadInput(
                 f"engine {subject.name}: after reset() at x, y, θ = {pose.round(4).tolist()}, pose() returns"
                 f" {poses[0].round(4).tolist()}; both must be of the object frame in the world, m and rad"
@@ -272,18 +277,20 @@ class Laid:
         result[:, 2] = pose[2] + np.unwrap(result[:, 2] - pose[2])
         return result
 
-    def slide(self, velocity: FloatArray, duration: float) -> FloatArray:
+    def slide(self, velocity: FloatArray, duration: float, start: FloatArray = REST) -> FloatArray:
         """(T + 1, 3) centre of mass and angle in the world of a released object; row k is at time k dt.
 
         Args:
             velocity: (3,) of the centre of mass, world, m/s, and rad/s.
             duration: s.
+            start: (3,) centre of mass and angle at the start, world.
         """
         center = self._scene.center_of_mass
+        arm = rotated(center, start[2])
         x, y, omega = velocity
-        origin = np.array([x + omega * center[1], y - omega * center[0], omega])
+        origin = np.array([x + omega * arm[1], y - omega * arm[0], omega])
         steps = round(duration / self._subject.dt)
-        poses = self.push(np.tile(AWAY, (steps + 1, 1)), REST, origin)
+        poses = self.push(np.tile(AWAY, (steps + 1, 1)), np.append(start[:2] - arm, start[2]), origin)
         return np.column_stack([placed(center, poses), poses[:, 2]])
 
 
@@ -295,6 +302,7 @@ _CELLS = 39
 _FOOT_ABOVE = -0.018  # m; cells above this y are of the other material
 
 
+@cache
 def plain_scene() -> EngineScene:
     """A uniform object with friction `MU`."""
     grid = cells_from_polygon(OUTLINE, count=_CELLS)
@@ -326,9 +334,11 @@ BUILT_IN = {
         ("dt", "impratio", "timeconst"),
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
-            "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
-            "load_follows_slip": "against load that follows slip, no setting of MuJoCo is known (impratio and"
-            " a smaller step do not help, a shorter timeconst of contacts makes it worse)",
+            "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100),"
+            " though the price does not fall",
+            "load_follows_slip": "against load that follows slip, no setting of MuJoCo is known that lowers the"
+            " price (impratio lessens the defect but not the price, a smaller step raises the price, a shorter"
+            " timeconst of contacts makes the defect worse)",
         },
     ),
     "bullet": BuiltIn(
@@ -376,7 +386,7 @@ def find_engine(spec: str) -> Subject:
         raise BadInput(
             f"there is no engine {spec!r}; name {known}, or a file and its class, such as my_engine.py:Engine"
         )
-    return Subject(kind, _class_in(Path(file), kind))
+    return Subject(spec, _class_in(Path(file), kind))
 
 
 def installed() -> list[str]:
@@ -414,7 +424,8 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
             except ValueError:
                 raise BadInput(f"engine {spec}: {word} must be a number, got {value!r}") from None
             if not 0 < number < np.inf or (word == "iterations" and number % 1):
-                raise BadInput(f"engine {spec}: {word} must be a positive number, got {value!r}")
+                kind = "whole number" if word == "iterations" else "number"
+                raise BadInput(f"engine {spec}: {word} must be a positive {kind}, got {value!r}")
             chosen[word] = int(number) if word == "iterations" else number
         else:
             known = [*engine.words, *(f"{name}=…" for name in engine.numbers)]
@@ -423,14 +434,14 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
         extra = "slipmap" if engine.package == "drake" else "slipmap[bench]"
         raise BadInput(f"engine {spec}: {engine.package} is not installed; use `pip install '{extra}'`")
     module, _, name = engine.where.partition(":")
-    kind = getattr(import_module(f"{__package__}.{module}"), name)
-    return type(name, (kind,), chosen)
+    return type(name, (getattr(import_module(f"{__package__}.{module}"), name),), chosen)
 
 
 def _class_in(path: Path, name: str) -> Any:
     if not path.is_file() or path.stat().st_size > _LARGEST:
         raise BadInput(f"engine file {path}: there is no such file, or it is too large; check the name")
-    module_name = f"slipmap_engine_file_{abs(hash(path.resolve()))}"
+    # The name is the same in every process, as numba's cache keeps it.
+    module_name = f"slipmap_engine_file_{sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     assert spec is not None and spec.loader is not None  # as its name ends in .py
     module = importlib.util.module_from_spec(spec)
@@ -443,8 +454,13 @@ def _class_in(path: Path, name: str) -> Any:
         raise BadInput(f"engine file {path} cannot be run: {failure(error)}") from error
     kind = getattr(module, name, None)
     if not inspect.isclass(kind):
-        classes = [key for key, value in vars(module).items() if inspect.isclass(value)]
-        raise BadInput(
-            f"engine file {path}: there is no class {name} in it; it has {', '.join(classes) or 'none'}"
+        classes = [
+            key
+            for key, value in vars(module).items()
+            if inspect.isclass(value) and value.__module__ == module_name
+        ]
+        said = (
+            f"there is no class {name} in it; it" if name else "no class is named after the colon; the file"
         )
+        raise BadInput(f"engine file {path}: {said} has {', '.join(classes) or 'none'}")
     return kind

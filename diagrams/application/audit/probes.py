@@ -1,51 +1,57 @@
-"""Probes of an engine: how friction depends on direction, speed and spin, and which defects that shows.
+"""Probes of an engine: how friction depends on direction, speed, place and spin.
 
 All probes use a plate of uniform weight and friction, for which Coulomb's law gives the answers. In some
 engines, sliding contacts hop and friction comes in bursts. Probes therefore keep the object sliding steadily,
 with gravity tilted to balance friction, where that is possible, and average over several speeds elsewhere.
-Every defect has a size with an uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from slipmap.diagrams.application.audit.engines import (
     GRAVITY,
     LEVEL,
     MU,
     REST,
-    CoulombEngine,
+    Laid,
     Subject,
     plain_scene,
 )
+from slipmap.diagrams.application.audit.law import (
+    DIRECTIONS,
+    EARLY,
+    STEADY_SPEEDS,
+    Harmonics,
+    Law,
+    LawEngine,
+    harmonics_of,
+    parabola,
+    seen_in_slides,
+    slide_speeds,
+)
 from slipmap.models.files import BadInput
-from slipmap.models.geometry import cross, rotated
+from slipmap.models.geometry import rotated
 from slipmap.models.physics.cell_grid import FloatArray
 
-DIRECTIONS = np.arange(24) * np.pi / 12  # (24,) directions of the free slides, rad
-STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # speeds of the steady slides along x, m/s
 SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()  # initial rates of the spins in place, rad/s
 CREEP_LOAD = 0.6  # load as a share of what friction can hold
-_SLIDE_SPEEDS = np.array([0.2, 0.3, 0.45])  # m/s
-_STEPS = 40  # fewest time steps until a free slide stops
-_FINE = 4  # steps of a point per step of the engine
-_EARLY = (0.05, 0.45)  # evaluated share of the time until it stops, in which the direction changes little
-LATE = (0.1, 0.75)  # evaluated share of the time until a spin stops
+APART = 0.1  # m, of places from the origin
+_LATE = (0.1, 0.75)  # evaluated share of the time until a spin stops
+_TURNED = np.pi / 2  # rad, heading of the slides that tell a grain of the object from one of the table
 _SETTLED, _STEADY = 0.1, 0.3  # s for which a steady slide settles, and is then observed
+_STEADY_TRIES, _ON_SPEED = 30, 0.01  # most trials of gravity; share of the speed by which it may be missed
 _SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, and number of steps
 _SLOW_SLIDES = np.array([0.15, 0.2, 0.25, 0.3])  # m/s of the object in the meantime
 _CREEP_DIRECTIONS = np.radians([0.0, 22.5, 45.0])
 _LAID, _CREPT = 0.25, 0.25  # s for which a loaded object settles, and is then observed
 _STEEP = 1.5  # load, as a multiple of what friction can hold, under which the object must slide
+_RELEASED = 0.03  # s for which an object must keep most of the velocity that it is given
 Report = Callable[[int], None]  # called with the number of finished probes
-COUNT = 2 + len(DIRECTIONS) + len(STEADY_SPEEDS) + len(SPINS) + len(_CREEP_DIRECTIONS)
+COUNT = 4 + len(DIRECTIONS) + len(DIRECTIONS) // 3 + 4 + 2 * len(STEADY_SPEEDS) + len(SPINS) + 3
 """Number of probes of one engine at one time step."""
 
 
@@ -57,11 +63,15 @@ class Answers:
     # Coulomb's law gives -1 along the motion
     direction: FloatArray
     friction: FloatArray
-    steady: FloatArray  # (4,) friction at `STEADY_SPEEDS` relative to Coulomb's
-    spin: FloatArray  # (16,) torque of spins in place relative to Coulomb's
-    # (8,) torque of slow spins during a slide minus Coulomb's, relative to Coulomb's for a spin in place
+    by_place: FloatArray  # (2,) change of friction per `APART` along x and y, relative to Coulomb's
+    steady: FloatArray  # (4,) friction along x at `STEADY_SPEEDS` relative to Coulomb's, mean of both ways
+    steady_unsure: FloatArray  # (4,) its standard deviation, because the speed was not quite the stated one
+    law: Law  # that the above show
+    spin: FloatArray  # (16,) torque of spins in place relative to the law's
+    # (8,) torque of slow spins during a slide minus the law's, relative to the law's for a spin in place
     slow_spin: FloatArray
     creep: FloatArray  # (3,) speed under a load that friction can hold, m/s
+    repeat: float  # largest distance between ends of the same slide, in a new engine and after a reset, m
 
 
 def ask(subject: Subject, report: Report) -> Answers:
@@ -72,7 +82,7 @@ def ask(subject: Subject, report: Report) -> Answers:
         report: called after each of `COUNT` probes.
 
     Raises:
-        BadInput: the engine fails, or ignores the tilt of gravity.
+        BadInput: the engine fails, or ignores the tilt of gravity or the velocity at the start.
     """
     done = 0
 
@@ -83,38 +93,59 @@ def ask(subject: Subject, report: Report) -> Answers:
 
     _check_gravity(subject)
     count()
+    _check_velocity(subject)
+    count()
     slides = []
     for angle in DIRECTIONS:
-        slides.append(_free_slide(subject, np.array([np.cos(angle), np.sin(angle)])))
+        slides.append(_free_slide(subject, angle))
         count()
-    steady = []
+    direction, friction = np.array(slides).transpose(1, 0, 2)
+    harmonics = harmonics_of(direction, friction, subject.dt, subject.full_dt)
+    turned = []
+    for angle in DIRECTIONS[::3]:
+        turned.append(_free_slide(subject, angle, np.array([0.0, 0.0, _TURNED])))
+        count()
+    by_place = []
+    for axis, angle in zip(np.eye(2), (0.0, np.pi / 2), strict=True):
+        sizes = []
+        for side in (-APART, APART):
+            sizes.append(-_free_slide(subject, angle, np.append(side * axis, 0.0))[1] @ axis)
+            count()
+        by_place.append((sizes[1] - sizes[0]) / 2)
+    steady, unsure = [], []
     for speed in STEADY_SPEEDS:
-        steady.append(_steady_slide(subject, speed))
-        count()
-    same = Subject("Coulomb", type("Same", (CoulombEngine,), {"dt": subject.dt}), subject.full_dt)
+        both = []
+        for sense in (1.0, -1.0):
+            both.append(_steady_slide(subject, speed, sense))
+            count()
+        steady.append(np.mean(both, axis=0)[0])
+        unsure.append(np.mean(both, axis=0)[1])
+    along_x = 1 + float(harmonics.along[0])
+    law = Law(harmonics, _is_of_object(harmonics, np.array(turned)), np.array(steady) / along_x)
+    same = Subject("law", type("Same", (LawEngine,), {"dt": subject.dt, "law": law}), subject.full_dt)
     spins = []
-    for rate in SPINS:
-        spins.append(_spin_torque(subject, rate) / _spin_torque(same, rate))
+    for number, rate in enumerate(SPINS):
+        heading = 2 * np.pi * number / len(SPINS)
+        spins.append(_spin_torque(subject, rate, heading) / _spin_torque(same, rate, heading))
         count()
-    slow = (_slow_spin_torques(subject) - _slow_spin_torques(same)) / _spin_torque(same, SPINS[-1])
+    slow = (_slow_spin_torques(subject) - _slow_spin_torques(same)) / _spin_torque(same, SPINS[-1], 0.0)
     count()
     creep = []
     for angle in _CREEP_DIRECTIONS:
         creep.append(_creep(subject, np.array([np.cos(angle), np.sin(angle)])))
         count()
-    direction, friction = np.array(slides).transpose(1, 0, 2)
-    return Answers(direction, friction, np.array(steady), np.array(spins), slow, np.array(creep))
+    again = subject.lay(plain_scene())
+    ends = [_turning_slide(laid)[-1, :2] for laid in (subject.lay(plain_scene()), again, again)]
+    count()
+    return Answers(
+        direction, friction, np.array(by_place), np.array(steady), np.array(unsure), law, np.array(spins),
+        slow, np.array(creep), float(max(np.linalg.norm(end - ends[0]) for end in ends)),
+    )  # fmt: skip
 
 
 def _tilted(along: FloatArray) -> FloatArray:
     """(3,) gravity with a component (2,) along the table, m/s²."""
     return LEVEL + np.append(along, 0.0)
-
-
-def _parabola(times: NDArray[np.floating[Any]], values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Velocity half-way and acceleration of values at given times, by least squares."""
-    bend, slope, _ = np.polyfit(times - times.mean(), values, 2)
-    return slope, 2 * bend
 
 
 def _check_gravity(subject: Subject) -> None:
@@ -129,81 +160,109 @@ def _check_gravity(subject: Subject) -> None:
         )
 
 
-def _free_slide(subject: Subject, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _check_velocity(subject: Subject) -> None:
+    """Release the object turned, obliquely and with a spin: in a wrong frame it would go elsewhere."""
+    velocity = np.array([0.18, -0.24, 5.0])
+    path = subject.lay(plain_scene()).slide(velocity, _RELEASED, np.array([0.0, 0.0, 1.0]))
+    moved = path[-1] - path[0]
+    allowed = np.array([0.2, 0.2, 2.5])  # more than friction takes, less than a wrong frame would change
+    if np.any(np.abs(moved / _RELEASED - velocity) > allowed):
+        raise BadInput(
+            f"engine {subject.name}: released at {velocity.tolist()} (m/s, m/s, rad/s), the object moves by"
+            f" {moved.round(4).tolist()} (m, m, rad) in {_RELEASED} s; reset() must use the velocity that it is"
+            " given, of the object frame's origin in the world"
+        )
+
+
+def _free_slide(subject: Subject, angle: float, start: FloatArray = REST) -> tuple[FloatArray, FloatArray]:
     """Direction half-way and friction (2,) of slides released in a direction."""
-    laid = subject.lay(plain_scene())
+    laid, along = subject.lay(plain_scene()), np.array([np.cos(angle), np.sin(angle), 0.0])
     paths = [
-        laid.slide(np.array([*(speed * along), 0.0]), _EARLY[1] * speed / (MU * GRAVITY))[:, :2]
+        laid.slide(speed * along, EARLY[1] * speed / (MU * GRAVITY), start)[:, :2]
         for speed in slide_speeds(subject.full_dt)
     ]
     return seen_in_slides(paths, subject.dt)
 
 
-def slide_speeds(dt: float) -> FloatArray:
-    """(3,) speeds of free slides, m/s, for a time step of the engine, s; higher for long steps."""
-    return np.asarray(_SLIDE_SPEEDS * max(1.0, _STEPS * dt * MU * GRAVITY / _SLIDE_SPEEDS[0]))
+def _turning_slide(laid: Laid) -> FloatArray:
+    """Path (T + 1, 3) of a slide with a spin until it almost stops."""
+    velocity = np.array([STEADY_SPEEDS[-1], 0.0, SPINS[-1]])
+    return laid.slide(velocity, 0.9 * STEADY_SPEEDS[-1] / (MU * GRAVITY))
 
 
-def seen_in_slides(paths: Sequence[FloatArray], dt: float) -> tuple[FloatArray, FloatArray]:
-    """Mean direction and friction (…, 2), as in `Answers`, of free slides: paths (T + 1, …, 2), steps dt."""
-    ways, frictions = [], []
-    for path in paths:
-        first = round(_EARLY[0] / _EARLY[1] * (len(path) - 1))
-        times = dt * np.arange(float(first), len(path))
-        flat = path[first:].reshape(len(times), -1)
-        velocity, acceleration = (part.reshape(path.shape[1:]) for part in _parabola(times, flat))
-        ways.append(velocity / np.linalg.norm(velocity, axis=-1, keepdims=True))
-        frictions.append(acceleration / (MU * GRAVITY))
-    way = np.mean(ways, axis=0)
-    return way / np.linalg.norm(way, axis=-1, keepdims=True), np.mean(frictions, axis=0)
+def _is_of_object(harmonics: Harmonics, turned: FloatArray) -> bool:
+    """Whether a grain turns with the object, from slides (8, 2, 2) with the object turned."""
+    direction, friction = turned[:, 0], turned[:, 1]
+    twice = 2 * np.arctan2(direction[:, 1], direction[:, 0])
+    along = -np.sum(friction * direction, axis=1)
+    waves = np.array([np.cos(twice), np.sin(twice)]) @ (along - along.mean())
+    return bool(waves @ harmonics.along < 0)  # turned by 90°, all harmonics of twice the angle change sign
 
 
-def slides_of_point(
-    friction: Callable[[FloatArray], FloatArray], dt: float, full_dt: float
-) -> tuple[FloatArray, FloatArray]:
-    """Direction and friction (24, 2), as in `Answers`, of free slides under a law of friction.
+def _steady_slide(subject: Subject, speed: float, sense: float) -> tuple[float, float]:
+    """Friction along x at a steady speed relative to Coulomb's, and its uncertainty.
 
-    Args:
-        friction: maps directions of motion (24, 2) to friction over μ N (24, 2).
-        dt, full_dt: of the `Subject`, s.
+    A tilt of gravity is sought under which the object keeps its speed and its direction. A stronger pull
+    makes it faster, whether friction rises with speed or falls, so the pull can be bracketed. The object
+    passes the origin half-way.
     """
-    paths = []
-    for speed in slide_speeds(full_dt):
-        steps = round(_EARLY[1] * speed / (MU * GRAVITY) / dt)
-        velocity = speed * np.column_stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
-        place = np.zeros_like(velocity)
-        path = [place]
-        for _ in range(steps):
-            for _ in range(_FINE):
-                length = np.linalg.norm(velocity, axis=1, keepdims=True)
-                velocity = velocity + dt / _FINE * MU * GRAVITY * friction(velocity / length)
-                place = place + dt / _FINE * velocity
-            path.append(place)
-        paths.append(np.array(path))
-    return seen_in_slides(paths, dt)
+    way = np.array([sense, 0.0])
+    half_way = _SETTLED + _STEADY / 2
+    start = np.append(-way * speed * half_way, 0.0)
+    first = round(_SETTLED / subject.dt)
+    pull, side = MU * GRAVITY, 0.0  # m/s², along and across
+    slow: tuple[float, float] | None = None  # of the strongest pull that is too weak: the pull, the speed
+    fast: tuple[float, float] | None = None
+    tried: list[tuple[float, float]] = []  # by how much the speed was missed, and friction
+    for _ in range(_STEADY_TRIES):
+        laid = subject.lay(plain_scene(), _tilted(sense * np.array([pull, side])))
+        path = laid.slide(np.append(speed * way, 0.0), _SETTLED + _STEADY, start)[first:, :2] * sense
+        times = subject.dt * np.arange(float(len(path)))
+        velocity = (path[-1] - path[0]) / times[-1]
+        friction = pull - float(parabola(times, path[:, 0])[1])
+        miss = float(np.abs(velocity / speed - [1.0, 0.0]).max())
+        tried.append((miss, friction / (MU * GRAVITY)))
+        if miss < _ON_SPEED:
+            return tried[-1][1], 0.0
+        here = (pull, float(velocity[0]))
+        crooked = velocity[1] / max(velocity[0], 0.2 * speed)
+        if abs(crooked) > _ON_SPEED:
+            side -= float(np.clip(crooked, -0.5, 0.5)) * pull
+            pull, slow, fast = float(np.clip(friction, 0.8 * pull, 1.25 * pull)), None, None
+            continue
+        if velocity[0] < speed:
+            slow = max(slow or here, here)
+        else:
+            fast = min(fast or here, here)
+        pull = _next_pull(slow, fast, speed, half_way)
+    return min(tried)[1], float(np.ptp([friction for _, friction in tried]))
 
 
-def _steady_slide(subject: Subject, speed: float) -> float:
-    """Friction along x at a steady speed relative to Coulomb's, from the gravity that balances it."""
-    along = MU * GRAVITY
-    for _ in range(3):
-        laid = subject.lay(plain_scene(), _tilted(np.array([along, 0.0])))
-        path = laid.slide(np.array([speed, 0.0, 0.0]), _SETTLED + _STEADY)
-        first = round(_SETTLED / subject.dt)
-        along -= float(_parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 0])[1])
-        if path[-1, 0] - path[first, 0] < 0.2 * speed * _STEADY:
-            along *= 1.1  # it does not move, so friction is at least this large
-    return along / (MU * GRAVITY)
+def _next_pull(
+    slow: tuple[float, float] | None, fast: tuple[float, float] | None, speed: float, time: float
+) -> float:
+    """A pull between one that is too weak and one that is too strong."""
+    if slow is None or fast is None:
+        pull, seen = slow or fast or (0.0, 0.0)
+        if seen < 0.2 * speed:
+            return 1.1 * pull  # it does not move, so friction is at least this large
+        step = (speed - seen) / time
+        return pull + float(np.clip(2 * step, -0.1 * pull, 0.1 * pull))
+    share = (speed - slow[1]) / (fast[1] - slow[1])
+    if slow[1] < 0.2 * speed or fast[1] > 3 * speed:
+        share = 0.5
+    return slow[0] + float(np.clip(share, 0.1, 0.9)) * (fast[0] - slow[0])
 
 
-def _spin_torque(subject: Subject, rate: float) -> float:
+def _spin_torque(subject: Subject, rate: float, heading: float) -> float:
     """Angular deceleration of an object released with a spin, rad/s²."""
     scene = plain_scene()
     stop = abs(rate) * scene.moment_of_inertia / (MU * GRAVITY * scene.mass.sum() * scene.mean_arm)
-    path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), LATE[1] * stop)
-    first = round(LATE[0] * stop / subject.dt)
+    start = np.array([0.0, 0.0, heading])
+    path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), _LATE[1] * stop, start)
+    first = round(_LATE[0] * stop / subject.dt)
     return float(
-        -np.sign(rate) * _parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 2])[1]
+        -np.sign(rate) * parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 2])[1]
     )
 
 
@@ -215,7 +274,7 @@ def _slow_spin_torques(subject: Subject) -> FloatArray:
         for rate in (-_SLOW_SPIN, _SLOW_SPIN):
             path = laid.slide(np.array([speed, 0.0, rate]), _SLOW_STEPS * subject.full_dt)
             times = subject.dt * np.arange(float(len(path)))
-            torques.append(-np.sign(rate) * _parabola(times, path[:, 2])[1])
+            torques.append(-np.sign(rate) * parabola(times, path[:, 2])[1])
     return np.array(torques)
 
 
@@ -231,203 +290,3 @@ def leaned(answers: Answers) -> FloatArray:
     """(24,) angles between friction and the line of motion, counter-clockwise, rad."""
     back = rotated(answers.friction, np.pi - np.arctan2(answers.direction[:, 1], answers.direction[:, 0]))
     return np.arctan2(back[:, 1], back[:, 0])
-
-
-Key = Literal[
-    "factor", "speed", "diamond", "square", "grain", "lean", "load_follows_slip", "torsion", "creep"
-]
-
-SPIN_OF_SQUARE, SPIN_OF_DIAMOND = 4 / np.pi, 2 * np.sqrt(2) / np.pi
-"""Torque of a spin relative to a cone's: the means of |cos| + |sin| and of max(|cos|, |sin|)."""
-
-_SURE = 2.0  # least ratio of a size to its uncertainty
-_CORNER = 0.02  # share of the speed within which a pyramid's corners are round
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One size measured by the probes, whether a defect or not."""
-
-    key: Key
-    title: str
-    value: float  # 0 under Coulomb's law
-    uncertainty: float  # one standard deviation, including the change at half the time step
-    tolerance: float  # size up to which it is no defect
-    unit: str  # "1" for a share
-    sentence: str  # its meaning, with the size
-    effect: str | None  # corresponding effect of the library
-
-    @property
-    def named(self) -> bool:
-        """Whether it is a defect."""
-        return abs(self.value) > max(self.tolerance, _SURE * self.uncertainty)
-
-
-@dataclass(frozen=True)
-class Pyramid:
-    """Degree to which friction follows a pyramid instead of a cone."""
-
-    kind: Literal["diamond", "square"]
-    share: float  # 1 for a pyramid, 0 for a cone
-
-    @property
-    def spin(self) -> float:
-        """Torque of a spin in place relative to a cone's."""
-        whole = SPIN_OF_SQUARE if self.kind == "square" else SPIN_OF_DIAMOND
-        return float(1 + self.share * (whole - 1))
-
-
-@dataclass(frozen=True, eq=False)
-class _Shape:
-    """Dependence of friction on direction."""
-
-    pyramid: Pyramid
-    grain: float  # half the difference of friction along and across a grain, as a share
-    along_x: float  # friction along x relative to its mean, due to the grain
-    lean: float  # largest remaining angle between friction and the line of motion, rad
-
-
-def pyramid_force(kind: str, direction: FloatArray) -> FloatArray:
-    """(…, 2) friction over μ N of a full pyramid along the world's axes, for directions of motion (…, 2)."""
-    x, y = direction[..., 0], direction[..., 1]
-    if kind == "square":
-        return np.stack([-_sign(x), -_sign(y)], axis=-1)
-    up, down = _sign((x + y) / np.sqrt(2)), _sign((x - y) / np.sqrt(2))
-    return np.stack([-(up + down) / 2, -(up - down) / 2], axis=-1)
-
-
-_KINDS: dict[Key, tuple[str, float, str]] = {
-    "factor": ("friction off by a factor", 0.02, "1"),
-    "speed": ("friction that depends on speed", 0.03, "1"),
-    "diamond": ("friction pyramid, a diamond", 0.1, "1"),
-    "square": ("friction pyramid, a square", 0.1, "1"),
-    "grain": ("grain", 0.02, "1"),
-    "lean": ("leaning friction", 1.0, "°"),
-    "torsion": ("torsional friction", 0.05, "1"),
-    "load_follows_slip": ("load that follows slip", 0.05, "1"),
-    "creep": ("creep", 0.02, "mm/s"),
-}
-"""Title, tolerance and unit of each measure."""
-
-_PYRAMIDS = {
-    "square": "Friction along x and along y is solved independently",
-    "diamond": "Friction along x and along y share one limit",
-}
-
-
-def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
-    """Sizes of all possible defects, from the answers at the engine's time step dt, s, and at half of it."""
-    found: list[Measure] = []
-
-    def add(key: Key, value: float, uncertainty: float, sentence: str, effect: str | None = None) -> None:
-        title, tolerance, unit = _KINDS[key]
-        found.append(Measure(key, title, value, uncertainty, tolerance, unit, sentence, effect))
-
-    shape, finer = _shape(full, dt, dt), _shape(half, dt / 2, dt)
-    pyramid = shape.pyramid
-    slow, slow_half = (float(answers.steady[0] / shape.along_x - 1) for answers in (full, half))
-    add("factor", slow, abs(slow - slow_half),
-        f"Friction of slow slides is {1 + slow:.3f} times the value from the coefficient.")  # fmt: skip
-    rise, rise_half = (float(answers.steady[-1] / answers.steady[0] - 1) for answers in (full, half))
-    add("speed", rise, abs(rise - rise_half),
-        f"From {STEADY_SPEEDS[0]:g} to {STEADY_SPEEDS[-1]:g} m/s, friction changes by {_percent(rise)}.",
-        "viscous_friction" if rise > 0 else "stribeck_friction")  # fmt: skip
-    same_kind = pyramid.kind == finer.pyramid.kind
-    corner = 1 + pyramid.share * ((np.sqrt(2) if pyramid.kind == "square" else np.sqrt(0.5)) - 1)
-    add(pyramid.kind, pyramid.share, abs(pyramid.share - finer.pyramid.share) if same_kind else pyramid.share,
-        f"{_PYRAMIDS[pyramid.kind]}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
-        f"friction_{pyramid.kind}")  # fmt: skip
-    add("grain", shape.grain, abs(shape.grain - finer.grain),
-        f"Friction along and across one direction of the table differs by {_percent(2 * shape.grain)}.",
-        "anisotropic_table")  # fmt: skip
-    lean = np.degrees(shape.lean)
-    add("lean", lean, np.degrees(abs(shape.lean - finer.lean)),
-        f"Friction deviates from the line of motion by up to {lean:.1f}°, which no grain explains.",
-        "impulse_friction")  # fmt: skip
-    torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
-    spins = [answers.spin / _expected_spin(answers, pyramid, shape) for answers in (full, half)]
-    spin, unsure = _mean(spins[0]), _spread(*spins)
-    # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
-    has_torsion = (
-        abs(torsion) > max(0.05, _SURE * torsion_unsure)
-        and (spin - 1) / torsion > 0.5
-        and pyramid.share < 0.05
-    )
-    if has_torsion:
-        add("torsion", torsion, torsion_unsure,
-            f"A torque {'resists' if torsion > 0 else 'helps'} any spin, with {_percent(abs(torsion))} of the"
-            " torque of a spin in place under Coulomb's law.",
-            "torsional_friction" if torsion > 0 else None)  # fmt: skip
-    excess = spin - 1 - (torsion if has_torsion else 0.0)
-    add("load_follows_slip", excess, unsure,
-        f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
-        f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load")  # fmt: skip
-    creep, creep_half = (1e3 * float(answers.creep.max()) for answers in (full, half))
-    add("creep", creep, abs(creep - creep_half),
-        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
-        f" {creep:.2g} mm/s.")  # fmt: skip
-    return found
-
-
-def _mean(values: FloatArray) -> float:
-    return float(np.mean(values))
-
-
-def _spread(full: FloatArray, half: FloatArray) -> float:
-    """Uncertainty of the mean of answers: their scatter, and the change at half the time step."""
-    scatter = np.std(np.append(full - full.mean(), half - half.mean())) / np.sqrt(len(full))
-    return float(np.hypot(scatter, full.mean() - half.mean()))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
-def _expected_spin(answers: Answers, pyramid: Pyramid, shape: _Shape) -> FloatArray:
-    """(16,) torque of spins in place relative to Coulomb's, as predicted from the slides."""
-    slip = np.mean(LATE) * np.abs(SPINS) * plain_scene().mean_arm
-    return np.asarray(pyramid.spin * np.interp(slip, STEADY_SPEEDS, answers.steady) / shape.along_x)
-
-
-def _sign(values: FloatArray) -> FloatArray:
-    return values / np.sqrt(values**2 + _CORNER**2)
-
-
-def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
-    """The best-fitting pyramid, with a grain and a lean."""
-    fits = []
-    for kind in ("diamond", "square"):
-
-        def misfit(share: float, kind: str = kind) -> float:
-            return _beside_pyramid(answers, kind, share, dt, full_dt)[0]
-
-        best = minimize_scalar(misfit, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3})
-        fits.append((float(best.fun), kind, float(best.x)))
-    _, kind, share = min(fits)
-    _, waves = _beside_pyramid(answers, kind, share, dt, full_dt)
-    grain, lean = float(np.hypot(*waves[:2])), float(np.hypot(*waves[2:]))
-    # A variation of friction with direction of amplitude g deflects it by up to 2 g; only the rest is a lean.
-    return _Shape(
-        Pyramid("square" if kind == "square" else "diamond", share), grain, 1 + float(waves[0]),
-        max(lean - 2 * grain, 0.0),
-    )  # fmt: skip
-
-
-def _beside_pyramid(
-    answers: Answers, kind: str, share: float, dt: float, full_dt: float
-) -> tuple[float, FloatArray]:
-    """Sum of squares left by a pyramid and waves of period π; (4,) the waves, along motion and across."""
-
-    def friction(direction: FloatArray) -> FloatArray:
-        return (share - 1) * direction + share * pyramid_force(kind, direction)
-
-    way, force = slides_of_point(friction, dt, full_dt)
-    u = answers.direction
-    angle = np.arctan2(u[:, 1], u[:, 0])
-    waves, none = np.column_stack([np.cos(2 * angle), np.sin(2 * angle)]), np.zeros((len(u), 2))
-    level = -np.sum(force * way, axis=1)[:, None]
-    columns = np.block([[level, waves, none], [-cross(way, force)[:, None], none, waves]])
-    seen = np.append(-np.sum(answers.friction * u, axis=1), -cross(u, answers.friction))
-    found, *_ = np.linalg.lstsq(columns, seen, rcond=None)
-    left = columns @ found - seen
-    return float(left @ left), found[1:] / found[0]

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.engines import EngineScene, Subject, two_material_scene
-from slipmap.diagrams.application.audit.probes import Measure, measures
+from slipmap.diagrams.application.audit.measures import Measure, measures
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Scene, bounds, scales
 from slipmap.models.effects.library import LIBRARY
@@ -26,8 +26,10 @@ from slipmap.planners.exploration import Candidate, candidate_pushes
 COUNT = 24  # number of pushes
 _SEED = 34
 _LENGTH, _SPEED = (0.04, 0.09), (0.03, 0.1)  # m after first touch; m/s
+NOTHING = 5e-4  # m; lower prices need no explanation
 _APPROACH, _RAMP, _REST = 5e-3, 0.05, 0.1  # m; s
 _STEP = 1e-3  # s, of the model
+_UNMOVED = 0.1  # share of the mean displacement that a finger which touches the object exceeds
 _LOOKS = 12  # poses per push to which effects are fitted
 Report = Callable[[int], None]  # called with the number of finished pushes
 
@@ -91,7 +93,7 @@ def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Push
     """Run the pushes in an engine.
 
     Raises:
-        BadInput: the engine fails.
+        BadInput: the engine fails, or its finger does not move the object.
     """
     laid = subject.lay(standard.scene)
     ends, looks = [], []
@@ -102,7 +104,15 @@ def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Push
         ends.append(poses[-1])
         looks.append(np.column_stack([np.interp(standard.times[index], clock, column) for column in poses.T]))
         report(index + 1)
-    errors = add(np.array(ends), standard.law, standard.scene.grid.centers)
+    grid = standard.scene.grid
+    moved = float(add(np.array(ends), standard.starts, grid.centers).mean())
+    if moved < _UNMOVED * standard.moved:
+        raise BadInput(
+            f"engine {subject.name}: pushes move the object by {1e3 * moved:.1f} mm instead of"
+            f" {1e3 * standard.moved:.0f} mm; step() must carry the finger, a disc of radius"
+            " scene.finger_radius, from tip to next_tip, and the object out of its way"
+        )
+    errors = add(np.array(ends), standard.law, grid.centers)
     return Pushed(np.array(ends), np.array(looks), errors)
 
 
@@ -256,12 +266,12 @@ def audit(
     for one in (subject, half):
         stage = f"{subject.name}, probes at {1e3 * one.dt:g} ms"
         answers.append(probes.ask(one, _counter(report, stage, probes.COUNT)))
-    found = measures(answers[0], answers[1], subject.dt)
+    found = measures(answers[0], answers[1])
     pushed, pushed_half = (
         push_all(one, standard, _counter(report, f"{subject.name}, pushes at {1e3 * one.dt:g} ms", COUNT))
         for one in (subject, half)
     )
-    tried = laws(LIBRARY) if pushed.price > _NOTHING else []
+    tried = laws(LIBRARY) if pushed.price > NOTHING else []
     explained = []
     for number, effect in enumerate(tried):
         report(f"{subject.name}, fitting effects: {effect.name}", number, len(tried))
@@ -290,7 +300,6 @@ def prices_beside(
 
 
 _LOWER = 0.9  # largest share of the price that an explaining effect may leave
-_NOTHING = 5e-4  # m; lower prices need no explanation
 
 
 def _counter(report: Progress, stage: str, total: int) -> probes.Report:

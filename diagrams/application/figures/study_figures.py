@@ -211,7 +211,7 @@ def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
 
 @styled
 def friction_figure(audit: Audit) -> Figure:
-    """Polar plot of friction relative to Coulomb's over the direction of motion; lines show its direction."""
+    """Polar plot of friction relative to Coulomb's over the direction of motion; dashes show its direction."""
     figure = Figure(figsize=(4.6, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="polar")
     angle = np.arctan2(*audit.answers.direction.T[::-1])
@@ -223,6 +223,7 @@ def friction_figure(audit: Audit) -> Figure:
         tip = at + 0.25 * force
         ends = np.array([at, tip])
         axes.plot(np.arctan2(ends[:, 1], ends[:, 0]), np.hypot(*ends.T), color=FINGER, linewidth=1.0)
+    axes.plot([], [], color=FINGER, linewidth=1.0, label="direction of friction, reversed")
     axes.plot(angle, size, "o", color=BELIEF, markersize=4, label=audit.name)
     axes.set_ylim(0, max(1.5, 1.1 * size.max() + 0.25))
     axes.set_yticks([0.5, 1.0, 1.5])
@@ -240,8 +241,8 @@ def ends_figure(audit: Audit) -> Figure:
     for axes, k in zip(figure.subplots(1, 4), worst, strict=True):
         grid, standard = audit.standard.scene.grid, audit.standard
         draw_outline(axes, grid, standard.starts[k], color=FAINT)
-        draw_outline(axes, grid, standard.law[k], color=INK)
-        draw_outline(axes, grid, audit.pushed.ends[k], color=BELIEF, width=1.4)
+        draw_outline(axes, grid, audit.pushed.ends[k], color=BELIEF, width=1.8)
+        draw_outline(axes, grid, standard.law[k], color=INK, width=0.8)
         axes.set_aspect("equal")
         axes.autoscale()
         axes.axis("off")

@@ -109,13 +109,25 @@ def without_those_objected_to(
     )
 
 
-def far_off(base: Fitted, misfit: float) -> Outcome:
-    """No effect gains enough, but predictions are far off; `misfit` is that of the typical push."""
-    sentence = (
-        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensor noise, and no effect"
-        " that was tried explains this. The cause may be an effect outside the library, the object's outline"
-        " or the recording; start with any warnings that were given when the dataset was read."
-    )
+def far_off(base: Fitted, misfit: float, most: tuple[str, float] | None = None) -> Outcome:
+    """No effect is accepted, but predictions are far off; `misfit` is that of the typical push.
+
+    Args:
+        base: the model without effects.
+        misfit: in units of sensor noise.
+        most: the effect that explains most of it although something remains, and the misfit with it.
+    """
+    cause = "an effect outside the library, the object's outline or the recording"
+    warnings = "start with any warnings that were given when the dataset was read."
+    sentence = f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensor noise, and"
+    if most is None:
+        sentence += f" no effect that was tried explains this. The cause may be {cause}; {warnings}"
+    else:
+        name, left = most
+        sentence += (
+            f" {name} explains most of it (with it, {left:.1f} times), but something remains, so it is not"
+            f" named. The rest may come from another effect, as the table says, or from {cause}; {warnings}"
+        )
     return Outcome("undecided", sentence, base)
 
 

@@ -61,6 +61,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     far_above_noise,
     not_outdone,
     objection,
+    typical_misfit,
     with_better_predictors,
     worth_asking,
 )
@@ -286,12 +287,14 @@ class Inquiry:
         """Whether the locked pushes must improve by more than chance."""
         return self.faint or self.error.motion > ROUGH
 
-    def misfit(self) -> FloatArray:
-        """Misfit (B,) of each open push without effects, in units of sensor noise, forces included."""
+    def misfit(self, fitted: Fitted | None = None) -> FloatArray:
+        """Misfit (B,) of each open push, in units of sensor noise, forces included; without effects unless a
+        fit is given."""
+        fitted = fitted or self.base
         noise = self.fitter.noise
         sigma = np.array([noise.position, noise.position, noise.angle * self.fitter.measured.radius])
         found = []
-        for push in self.base.likelihood.rows(self.base.z, self.base.offsets):
+        for push in fitted.likelihood.rows(fitted.z, fitted.offsets):
             parts = [(push.pose / sigma).ravel(), (push.force / noise.force).ravel()]
             found.append(float(np.sqrt((np.concatenate(parts) ** 2).mean())))
         return np.array(found)
@@ -299,7 +302,21 @@ class Inquiry:
     def _too_faint(self) -> Outcome:
         """An effect gains, but too little; if pushes are missed by far, something else is wrong."""
         misfit = far_above_noise(self.misfit())
-        return outcomes.too_faint(self.base) if misfit is None else outcomes.far_off(self.base, misfit)
+        if misfit is None:
+            return outcomes.too_faint(self.base)
+        return outcomes.far_off(self.base, misfit, self._explains_most(misfit))
+
+    def _explains_most(self, misfit: float) -> tuple[str, float] | None:
+        """The best effect, and the misfit of the typical push with it, where it more than halves `misfit`.
+
+        It gains more than chance, and was struck out only because something gains on top of it.
+        """
+        name = next(iter(self.refits.order), None)
+        if name is None or name not in self.left or self.left[name].rejected_by is None:
+            return None
+        left = typical_misfit(self.misfit(self.refits.fits[name]))
+        stands = self.rules.beyond_chance(self.first, self.first.by_name[name])
+        return (name, left) if stands and left < 0.5 * misfit else None
 
     def _nothing_found(self) -> Outcome:
         """Adequate, unless the pushes scatter or could not have revealed an effect of ordinary size."""

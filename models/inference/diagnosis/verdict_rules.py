@@ -317,7 +317,12 @@ def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | No
     return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
 
 
+def typical_misfit(misfit: FloatArray) -> float:
+    """Geometric mean of the pushes' misfits (L,); 0 without pushes."""
+    return float(np.exp(np.log(misfit).mean())) if len(misfit) else 0.0
+
+
 def far_above_noise(misfit: FloatArray) -> float | None:
-    """Geometric mean of the pushes' misfits (L,) where it is far above the noise, else None."""
-    typical = float(np.exp(np.log(misfit).mean())) if len(misfit) else 0.0
+    """The typical one of the pushes' misfits (L,) where it is far above the noise, else None."""
+    typical = typical_misfit(misfit)
     return typical if typical > _FAR_ABOVE_NOISE else None
