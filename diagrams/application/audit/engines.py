@@ -171,28 +171,29 @@ class Subject:
 
     Attributes:
         dt: its time step, s.
+        full_dt: as the argument; `dt` where that is None.
 
     Raises:
         BadInput: the class lacks a part of `Engine`.
     """
 
     def __init__(self, name: str, kind: Any, full_dt: float | None = None) -> None:
-        self.name, self._kind = name, kind
+        self.name, self.kind = name, kind
         missing = [part for part in ("reset", "step", "pose") if not callable(getattr(kind, part, None))]
         if missing:
             raise BadInput(f"engine {name}: it has no {' and no '.join(missing)}(); see docs/audit.md")
         dt = getattr(kind, "dt", None)
         if not (isinstance(dt, Real) and SHORTEST_STEP <= (full_dt or float(dt)) <= LONGEST_STEP):
             raise BadInput(
-                f"engine {name}: its time step `dt` must be a number between {SHORTEST_STEP:g} and {LONGEST_STEP:g}"
-                f" s, got {'none' if dt is None else repr(dt)}"
+                f"engine {name}: its time step `dt` must be a number between {SHORTEST_STEP:g} and"
+                f" {LONGEST_STEP:g} s, got {'none' if dt is None else repr(dt)}"
             )
         self.dt = float(dt)
         self.full_dt = full_dt or self.dt
 
     def halved(self) -> Subject:
         """The same engine at half its time step."""
-        return Subject(self.name, type(self._kind.__name__, (self._kind,), {"dt": self.dt / 2}), self.dt)
+        return Subject(self.name, type(self.kind.__name__, (self.kind,), {"dt": self.dt / 2}), self.dt)
 
     def lay(self, scene: EngineScene, gravity: FloatArray = LEVEL) -> Laid:
         """An engine with a scene, under a gravity (3,), m/s².
@@ -200,7 +201,7 @@ class Subject:
         Raises:
             BadInput: it cannot be made, or it does not use the step of its class.
         """
-        engine = self.ask("__init__", self._kind, scene, np.array(gravity, dtype=float))
+        engine = self.ask("__init__", self.kind, scene, np.array(gravity, dtype=float))
         if getattr(engine, "dt", None) != self.dt:
             raise BadInput(
                 f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so it cannot run at"
@@ -336,9 +337,9 @@ BUILT_IN = {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100),"
             " though the price does not fall",
-            "load_follows_slip": "against load that follows slip, no setting of MuJoCo is known that lowers the"
-            " price (impratio lessens the defect but not the price, a smaller step raises the price, a shorter"
-            " timeconst of contacts makes the defect worse)",
+            "load_follows_slip": "against load that follows slip, no setting of MuJoCo is known that lowers"
+            " the price (impratio lessens the defect but not the price, a smaller step raises the price, a"
+            " shorter timeconst of contacts makes the defect worse)",
         },
     ),
     "bullet": BuiltIn(

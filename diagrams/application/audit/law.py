@@ -24,7 +24,8 @@ STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # speeds of the steady slides 
 EARLY = (0.05, 0.45)  # evaluated share of the time until a slide stops, in which its direction changes little
 _SLIDE_SPEEDS = np.array([0.2, 0.3, 0.45])  # m/s
 _STEPS = 40  # fewest time steps until a free slide stops
-_FINE = 4  # steps of the law per step of the engine
+_FINE = 4  # steps of a point per step of the engine
+_FINE_SPIN = 2  # steps of the law's plate per step of the engine
 _CORNER = 0.02  # share of the speed within which a pyramid's corners are round
 _SLOWEST = 1e-9  # m/s, below which motion has no direction
 
@@ -123,8 +124,8 @@ class LawEngine:
         self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
     ) -> FloatArray:
         """See `Engine`."""
-        h = self.dt / _FINE
-        for _ in range(_FINE):
+        h = self.dt / _FINE_SPIN
+        for _ in range(_FINE_SPIN):
             arms = rotated(self._arms, self._angle)
             velocity = self._velocity + self._omega * np.column_stack([-arms[:, 1], arms[:, 0]])
             force = self._load[:, None] * self.law.friction(velocity, self._angle)

@@ -74,7 +74,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     # Means over directions, of friction or of its inverse, differ by up to the square of a grain.
     add("factor", factor,
         float(np.linalg.norm([factor - factor_half, *full.steady_unsure, guess, grain**2])),
-        f"Friction is {1 + factor:.3f} times the value from the coefficient, whatever the speed.")  # fmt: skip
+        f"Friction is {1 + factor:.3f} times the value from the coefficient, at any speed.")  # fmt: skip
     rise, rise_half = (float(answers.steady[-1] / answers.steady[0] - 1) for answers in (full, half))
     add("speed", rise, float(np.linalg.norm([rise - rise_half, *full.steady_unsure[[0, -1]]])),
         f"From {STEADY_SPEEDS[0]:g} to {STEADY_SPEEDS[-1]:g} m/s, friction changes by {_percent(rise)}, from"
@@ -88,7 +88,8 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
         f"friction_{pyramid.kind}")  # fmt: skip
     owner = "object" if full.law.of_object else "table"
     add("grain", grain, float(np.hypot(shape.along_unsure, grain - finer.grain)),
-        f"Friction along and across one direction of the {owner} is {_percent(grain)} above and below its mean.",
+        f"Friction along and across one direction of the {owner} is {_percent(grain)} above and below its"
+        " mean.",
         f"anisotropic_{owner}")  # fmt: skip
     lean, finer_lean = np.degrees(shape.leaning), np.degrees(finer.leaning)
     everywhere = abs(np.degrees(np.arctan(shape.lean))) > 0.5 * abs(lean)

@@ -169,8 +169,8 @@ def _check_velocity(subject: Subject) -> None:
     if np.any(np.abs(moved / _RELEASED - velocity) > allowed):
         raise BadInput(
             f"engine {subject.name}: released at {velocity.tolist()} (m/s, m/s, rad/s), the object moves by"
-            f" {moved.round(4).tolist()} (m, m, rad) in {_RELEASED} s; reset() must use the velocity that it is"
-            " given, of the object frame's origin in the world"
+            f" {moved.round(4).tolist()} (m, m, rad) in {_RELEASED} s; reset() must use the velocity that"
+            " it is given, of the object frame's origin in the world"
         )
 
 

@@ -211,7 +211,7 @@ def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
 
 @styled
 def friction_figure(audit: Audit) -> Figure:
-    """Polar plot of friction relative to Coulomb's over the direction of motion; dashes show its direction."""
+    """Polar plot of friction relative to Coulomb's by direction of motion; dashes show where it points."""
     figure = Figure(figsize=(4.6, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="polar")
     angle = np.arctan2(*audit.answers.direction.T[::-1])

@@ -40,8 +40,8 @@ def pushed(audit: Audit) -> str:
     moved = 1e3 * audit.standard.moved
     said = (
         f"The price is the mean over {len(audit.pushed.errors)} pushes, which move the object by"
-        f" {moved:.0f} mm; the worst ends {_mm(audit.pushed.errors.max())} off. At half the time step, the price is"
-        f" {_mm(audit.pushed_half.price)}."
+        f" {moved:.0f} mm; the worst ends {_mm(audit.pushed.errors.max())} off. At half the time step, the"
+        f" price is {_mm(audit.pushed_half.price)}."
     )
     if audit.explained:
         best = audit.explained[0]
@@ -109,10 +109,11 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
 
 _HOW = (
     "<p>The probes use a plate of uniform weight and friction: it is released in 24 directions at three"
-    " speeds, and in some also at other places and turned; kept sliding at four speeds, both ways, by gravity"
-    " tilted to balance friction; released with 16 spins; and left alone under a load that friction can hold. A size counts as a defect if it exceeds its tolerance"
-    " and twice its uncertainty, which includes the change at half the time step. The 24 pushes are of an L"
-    " of two materials with known maps; Coulomb's law is slipmap's own model with these maps.</p>"
+    " speeds, and in some of them also at other places and turned; kept sliding at four speeds, both ways,"
+    " by gravity tilted to balance friction; released with 16 spins; and left alone under a load that"
+    " friction can hold. A size counts as a defect if it exceeds its tolerance and twice its uncertainty,"
+    " which includes the change at half the time step. The 24 pushes are of an L of two materials with known"
+    " maps; Coulomb's law is slipmap's own model with these maps.</p>"
 )
 
 

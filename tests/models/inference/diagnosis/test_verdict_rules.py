@@ -130,7 +130,7 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
     inquiry = object.__new__(steps.Inquiry)
     base, plain = (SimpleNamespace(likelihood=SimpleNamespace(error=of)) for of in ("base", "best refit"))
-    refits = SimpleNamespace(plain=plain, fits={"some": None}, gains={"some": refitted})
+    refits = SimpleNamespace(plain=plain, fits={"some": None}, gains={"some": refitted}, order=["some"])
     monkeypatch.setattr(steps, "refit_candidates", lambda *arguments, **options: refits)
     for name, value in {
         "rules": SimpleNamespace(
@@ -140,7 +140,7 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
         "fitter": None, "base": base, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
-        "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
+        "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]), "left": {},
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
@@ -166,6 +166,20 @@ def test_a_finding_that_vanishes_and_leaves_nothing_clear_is_adequate(monkeypatc
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
     assert "too faint" in verdict(monkeypatch, 15.0).sentence
     assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
+
+
+@pytest.mark.parametrize(("with_it", "most"), [(5.0, True), (30.0, False)])
+def test_an_effect_that_explains_most_though_something_remains_is_told(monkeypatch, with_it, most):
+    inquiry = made_inquiry(monkeypatch, 15.0)
+    inquiry.left = {"some": SimpleNamespace(rejected_by="another")}
+    inquiry.refits = SimpleNamespace(fits={"some": object()}, order=["some"], gains={})
+    inquiry.first = SimpleNamespace(by_name={"some": 33.0})
+    inquiry.rules = SimpleNamespace(beyond_chance=lambda screening, gain: gain > 8)
+    monkeypatch.setattr(inquiry, "misfit", lambda fitted=None: np.array([with_it if fitted else 40.0]))
+    said = inquiry._too_faint()
+    assert (said.verdict, said.effects, said.rivals) == ("undecided", (), ())
+    assert ("some explains most of it (with it, 5.0 times), but something remains" in said.sentence) is most
+    assert ("no effect that was tried" in said.sentence) is not most
 
 
 def test_records_that_contradict_themselves_come_first(monkeypatch):
