@@ -19,6 +19,7 @@ from slipmap.models.effects.symbols import (
     CONSTANT_NAMES,
     FORCE_NAMES,
     INERTIA_NAMES,
+    LEAN_NAMES,
     POSE_SYMBOLS,
     PUSH_SYMBOLS,
     STATE_NAMES,
@@ -31,6 +32,7 @@ from slipmap.models.effects.symbols import (
     parameter_name,
     real,
 )
+from slipmap.models.physics.friction import FINGER_SETTLING
 
 
 class Slots:
@@ -42,13 +44,15 @@ class Slots:
 
     Attributes:
         parameters: symbols of all parameters.
-        memory: symbols carried from step to step: none, or the last force and the effects' own.
+        memory: symbols carried from step to step: none, or the last force, the lean of a finger that bends, and
+            the effects' own.
         y: symbols with respect to which the formulas are differentiated.
         body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade, then those of pyramids.
         factor: of a cell's friction.
         drag: of a cell.
         stretch: q_xx, q_xy, q_yy of a cell.
-        renewed: the effects' own memory after the step.
+        bends: whether the finger does.
+        renewed: the memory after the step, without the force.
         measured: x, y, theta as reported.
         delay: s.
         felt: the finger's force as reported.
@@ -112,6 +116,12 @@ class Slots:
                 ask("felt", 2, Names("force", dict(zip("xy", self.felt, strict=True))), p) or self.felt
             )
             self.force_delay += (ask("force_delay", 1, p) or [zero])[0]
+        self.bends = compliance != zero
+        lean = [real(name) for name in LEAN_NAMES] if self.bends else []
+        followed = map(real, AFTER_SYMBOLS[-2:])
+        share = sp.Min(1, real("h") / FINGER_SETTLING)
+        leant = [old + share * (new - old) for old, new in zip(lean, followed, strict=False)]
+        self.renewed = [*leant, *self.renewed]
         self.blades, self.pyramids = len(blades) // 4, len(pyramids)
         edges = [cone, *(number for entry in pyramids for number in entry)] if pyramids else []
         self.body = [*wrench, inertia, compliance, *blades, *edges]
@@ -120,8 +130,8 @@ class Slots:
         self.stretches = self.stretch != [one, zero, one]
         formulas = [*self.body, *self.cell, *self.renewed, *self.reports]
         asked = {symbol for formula in formulas for symbol in sp.sympify(formula).free_symbols}
-        needs_memory = bool(self.renewed) or compliance != zero or bool(asked & set(force))
-        own = [real(memory_name(e.name, name)) for e in effects for name in e.memory]
+        needs_memory = bool(self.renewed) or bool(asked & set(force))
+        own = [*lean, *(real(memory_name(e.name, name)) for e in effects for name in e.memory)]
         self.parameters = [real(parameter_name(e.name, p.name)) for e in effects for p in e.parameters]
         self.memory = [*force, *own] if needs_memory else []
         inertia_symbols = [real(name) for name in INERTIA_NAMES]
@@ -302,7 +312,7 @@ def module_source(effects: Sequence[Effect]) -> str:
             text += _delay(name, delay, slots.parameters)
     sizes = (
         len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches),
-        slots.pyramids,
+        slots.pyramids, int(slots.bends),
     )  # fmt: skip
     return text + f"\n\nSIZES = {sizes}\n"
 

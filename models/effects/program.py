@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from slipmap.models.effects.effect import Effect, EffectError
 from slipmap.models.files import replaced_file
 from slipmap.models.physics.compiled import CACHE_FOLDER
+from slipmap.models.physics.friction import FINGER_SETTLING
 
 FloatArray = NDArray[np.float64]
 Report = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
@@ -34,7 +35,7 @@ class Program:
     effects: tuple[Effect, ...]  # in the order of their parameters
     # (4,) addresses of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
     addresses: NDArray[np.int64]
-    sizes: NDArray[np.int64]  # (6,) as in `slipmap.models.physics.kernel_arguments.Formulas`
+    sizes: NDArray[np.int64]  # (7,) as in `slipmap.models.physics.kernel_arguments.Formulas`
     # from x, y, θ (…,) and parameters to poses (…, 3) as the tracker reports them, and their derivatives with
     # respect to the true pose (…, 3, 3) and the parameters (…, 3, P); None if no effect changes them
     measured: Report | None
@@ -104,7 +105,7 @@ def _key(effects: Sequence[Effect]) -> str | None:
     arguments of a function that makes classes. For those the generated code itself is hashed.
     """
     here = Path(__file__).parent
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(FINGER_SETTLING).encode())
     for name in ("effect.py", "symbols.py", "program.py", "formulas.py", "backward_loop.py"):
         digest.update((here / name).read_bytes())
     for effect in effects:

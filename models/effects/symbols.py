@@ -25,6 +25,7 @@ else:
 
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
+LEAN_NAMES = ("lean_x", "lean_y")  # of the finger; no effect can read them
 POSE_SYMBOLS = ("pose_x", "pose_y", "pose_theta")
 """Names of the symbols of the true pose, which the tracker may misreport."""
 PUSH_SYMBOLS = ("push_x", "push_y")

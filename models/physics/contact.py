@@ -19,6 +19,14 @@ The damping grows with the depth x at the start of the step, as in the law of Hu
 levels off: τ = relaxation · x² / (x² + (penetration / 2)²). So a blow ends in pushing at any step length, and
 no force acts before touch.
 
+A finger of compliance C is a spring in series with the contact, and damped: its tip is C l off its recorded
+place, and the lean l (world, N) follows the force F on the object,
+
+    l⁺ = l + h/τ_f (F⁺ - l),   so   C F = b + τ_f db/dt   for the bend b = C l,
+
+with τ_f = `FINGER_SETTLING`, or h if that is longer. The spring takes l and the damper the new force: the
+implicit step itself damps like τ_f = h, so with l⁺ in the spring the bend's damping would depend on the step.
+
 A limit of this contact: a finger that slips at v acts from a distance of mu h v, an artefact of the convex
 model that shrinks with the step.
 """
@@ -48,7 +56,7 @@ class Cone(NamedTuple):
 
     mu: float  # friction with the finger
     give: float  # penetration per force, m/N
-    compliance: float  # of the finger, in series with `give`, m/N
+    compliance: float  # of the finger within a step, C h/τ_f, in series with `give`, m/N
     tangential: float  # 1/R_t, kg
     damping: float  # largest τ/h, by which damping stiffens a contact within a step
     ramp: float  # penetration at which half of that acts, m

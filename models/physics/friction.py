@@ -15,7 +15,8 @@ the step stays a convex problem.
 The formulas of effects are evaluated at y (Y,), which joins
 
     the state before the step: x, y, θ (world), v_x, v_y, omega (object frame);
-    memory: nothing, or the last force of the finger on the object (world, N) and the effects' own numbers;
+    memory: nothing, or the last force of the finger on the object (world, N), a bending finger's lean (see
+    `contact.py`), and the effects' own numbers;
     m, s_x, s_y, J;  and the effects' parameters.
 
 `slipmap.models.effects.formulas` writes functions with this layout; rollouts and single steps call them.
@@ -35,6 +36,7 @@ from slipmap.models.physics.newton import coulomb_sums, quadratic_of, register_c
 # Numbers of entries in the arguments of formulas.
 STATE = 6
 FORCE = 2
+LEAN = STATE + FORCE  # of a bending finger: the index of its first component
 INERTIA = 4
 
 BODY_OUTPUTS = 5
@@ -44,6 +46,10 @@ e_x, e_y of each."""
 
 INERTIA_FACTOR = 3
 COMPLIANCE = 4
+
+FINGER_SETTLING = 0.01
+"""Time constant with which a bending finger settles, s. The time step alone would damp it too, but by as much
+as the step is long."""
 
 STRETCH = 3
 """Number of entries of a cell's Q: q_xx, q_xy, q_yy."""

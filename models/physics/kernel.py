@@ -45,7 +45,7 @@ from slipmap.models.physics.compiled import (
     keep,
 )
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS
-from slipmap.models.physics.friction import AFTER, FORCE, STATE
+from slipmap.models.physics.friction import AFTER, FINGER_SETTLING, FORCE, STATE
 from slipmap.models.physics.kernel_arguments import (
     Common,
     FloatArray,
@@ -170,7 +170,7 @@ def take_step(model, common, push, number, terms, motion, guess, contacts, deriv
         frame = middle_frame(motion.x, motion.y, cos, sin, quarter, v, h, tip0, tip1)
         gain = 0.0
         if bend_x != 0.0 or bend_y != 0.0:
-            frame = bent_frame(frame, bend_x, bend_y, h)
+            frame = bent_frame(frame, bend_x, bend_y, max(h, FINGER_SETTLING))
             gain += abs(frame.spring_x) + abs(frame.spring_y)
         if added_x != 0.0 or added_y != 0.0 or added_w != 0.0:
             gain += math.hypot(added_x, added_y) / body[0] + model.size * abs(added_w) / model.about_center

@@ -64,8 +64,8 @@ class Formulas(NamedTuple):
     """Compiled formulas of effects, and their arguments besides the state."""
 
     addresses: IntArray  # (4,) addresses of the functions body, cells, cell slopes, memory
-    # (6,) number of memory entries, of parameters, of blades; whether cells change; whether Q changes; number
-    # of pyramids
+    # (7,) number of memory entries, of parameters, of blades; whether cells change; whether Q changes; number
+    # of pyramids; whether the finger bends
     sizes: IntArray
     constants: FloatArray  # (B, CONSTANTS), see there; the first is the time before the first step
     parameters: FloatArray  # (K, P) of the effects

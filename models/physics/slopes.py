@@ -27,7 +27,15 @@ from slipmap.models.physics.contact import (
     springs,
     stiffening_slope,
 )
-from slipmap.models.physics.friction import COMPLIANCE, FORCE, INERTIA, INERTIA_FACTOR, STATE
+from slipmap.models.physics.friction import (
+    COMPLIANCE,
+    FINGER_SETTLING,
+    FORCE,
+    INERTIA,
+    INERTIA_FACTOR,
+    LEAN,
+    STATE,
+)
 from slipmap.models.physics.kernel_tools import Turn, joined, turned
 from slipmap.models.physics.newton import Minimum
 from slipmap.models.physics.step import EXTRA_COLUMNS, Applied, Frame, Way
@@ -268,14 +276,15 @@ def _add_change(target, j, k, taken, place, speed, spring, twist):  # type: igno
 
 
 @compiled()
-def add_compliance(taken, last, stick_speed, load_sum, state):  # type: ignore[no-untyped-def]
+def add_compliance(taken, compliance, lean, stick_speed, load_sum, state):  # type: ignore[no-untyped-def]
     """Add the slopes of a bending finger, and recompute those with respect to the sum of loads.
 
-    1/R_n = h²/(give/s + C), with the contact's stiffening s by damping, and 1/R_t = h²/(h creep + C), where
-    give and creep = stick_speed / Σ f fall with the sum of loads. The last force (world, N), the first entry
-    of memory, bends the finger by C · force off its recorded place, and it would straighten within the step.
+    1/R_n = h²/(give/s + C h/τ), with the contact's stiffening s by damping, and 1/R_t = h²/(h creep + C h/τ),
+    where give and creep = stick_speed / Σ f fall with the sum of loads. The lean (world, N), an entry of
+    memory, bends the finger by C · lean off its recorded place; free, it would straighten with time constant τ.
     """
     h, cone, frame, new = taken.h, taken.cone, taken.frame, taken.new
+    settling = max(h, FINGER_SETTLING)
     by_compliance, by_sum = state.shape[1] - 2, state.shape[1] - 1
     none = (0.0, 0.0)
     for a in range(5):
@@ -286,22 +295,22 @@ def add_compliance(taken, last, stick_speed, load_sum, state):  # type: ignore[n
             continue
         y_n, y_t = springs(contact, cone, new[0], new[1], new[2])
         # Relative changes of 1/R_n and 1/R_t.
-        normal, tangential = -contact.normal / (h * h), -cone.tangential / (h * h)
+        normal, tangential = -contact.normal / (h * settling), -cone.tangential / (h * settling)
         for column in (by_compliance, by_sum):
             if column == by_sum:
-                normal *= -cone.give / (contact.stiffening * load_sum)
-                tangential *= -h * stick_speed / (load_sum * load_sum)
+                normal *= -cone.give * settling / (h * contact.stiffening * load_sum)
+                tangential *= -settling * stick_speed / (load_sum * load_sum)
             dratio = contact.ratio * (normal - tangential)
             dyn, dyt = y_n * normal, y_t * tangential
             dgn, dgt = _impulse_change(contact, impulse, cone, y_t, dyn, dyt, dratio, 0.0)
             _add_impulse(state, column, contact, dgn, dgt)
         for j in range(FORCE + 1):
             bends = j == FORCE
-            fx = last[0] if bends else (cone.compliance if j == 0 else 0.0)
-            fy = last[1] if bends else (cone.compliance if j == 1 else 0.0)
-            dx, dy = turned(frame.cos, -frame.sin, fx, fy)
-            column = by_compliance if bends else STATE + j
-            _add_change(state, column, k, taken, (-dx, -dy), none, (dx / h, dy / h), none)
+            bx = lean[0] if bends else (compliance if j == 0 else 0.0)
+            by = lean[1] if bends else (compliance if j == 1 else 0.0)
+            dx, dy = turned(frame.cos, -frame.sin, bx, by)
+            column = by_compliance if bends else LEAN + j
+            _add_change(state, column, k, taken, (-dx, -dy), none, (dx / settling, dy / settling), none)
 
 
 @compiled(forceinline=True)

@@ -68,8 +68,7 @@ class Frame(NamedTuple):
     # speed_x, speed_y: velocity of the finger, m/s
     speed_x: float
     speed_y: float
-    # spring_x, spring_y: velocity with which a free bent finger would straighten within the step, m/s; 0 for
-    # a rigid finger
+    # spring_x, spring_y: velocity with which a free bent finger would straighten, m/s; 0 for a rigid finger
     spring_x: float
     spring_y: float
 
@@ -171,9 +170,9 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
 
 
 @compiled(forceinline=True)
-def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
-    """The `Frame` with a bent finger, bend_x, bend_y (world, m) off its recorded place."""
-    x, y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
+def bent_frame(frame, bend_x, bend_y, settling):  # type: ignore[no-untyped-def]
+    """The `Frame` with a finger bend_x, bend_y (world, m) off its recorded place, which settles in that time."""
+    x, y = turned(frame.cos, -frame.sin, bend_x / settling, bend_y / settling)
     return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
 
 

@@ -28,9 +28,11 @@ from slipmap.models.physics.friction import (
     BODY_OUTPUTS,
     COMPLIANCE,
     CONSTANTS,
+    FINGER_SETTLING,
     FORCE,
     INERTIA,
     INERTIA_FACTOR,
+    LEAN,
     STATE,
     EffectCells,
     drag_gradients,
@@ -93,6 +95,7 @@ class Effects(NamedTuple):
     # cells, stretch: whether cells change; whether Q changes
     cells: bool
     stretch: bool
+    bends: bool  # whether the finger bends
     begin: float  # time before the first step, s
     y: NDArray[np.float64]  # (Y,) arguments of the formulas; it holds the memory from step to step
     c: NDArray[np.float64]  # (CONSTANTS,)
@@ -179,7 +182,7 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
     given = Formulas(*formulas)
     sizes = given.sizes
     E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3] != 0, sizes[4] != 0
-    pyramids = sizes[5]
+    pyramids, bends = sizes[5], sizes[6] != 0
     known, own = STATE + E, max(0, E - FORCE)
     after_blades = BODY_OUTPUTS + 4 * blades
     Y, outputs = known + INERTIA + P, after_blades + (1 + 3 * pyramids if pyramids > 0 else 0)
@@ -212,7 +215,7 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
     derive = columns > 0
     changes = derive and cells
     effects = Effects(
-        given.addresses, E, blades, pyramids, cells, stretch, c[0], y, c, out, np.zeros((outputs, Y)),
+        given.addresses, E, blades, pyramids, cells, stretch, bends, c[0], y, c, out, np.zeros((outputs, Y)),
         out[BODY_OUTPUTS:after_blades].reshape(blades, 4),
         out[outputs - 3 * pyramids :].reshape(pyramids, 3), factor, drag, qxx, qxy, qyy, share, load,
         np.zeros((3, filled)) if derive else none,
@@ -332,13 +335,14 @@ def _changed_terms(effects, rim, model, motion, number, h):  # type: ignore[no-u
         drag, effects.blade, out[BODY_OUTPUTS + 4 * effects.blades] if effects.pyramids > 0 else 1.0,
         effects.pyramid,
     )  # fmt: skip
-    compliance = out[COMPLIANCE]
-    mu, give, _, _, damping, ramp = model.cone
-    tangential = h * h / (h * model.stick_speed / model.load_sum + compliance)
-    cone = Cone(mu, give, compliance, tangential, damping, ramp)
-    bend = (0.0, 0.0)
-    if effects.memory > 0:
-        bend = (compliance * y[STATE], compliance * y[STATE + 1])
+    cone, bend = model.cone, (0.0, 0.0)
+    if effects.bends:
+        mu, give, _, _, damping, ramp = model.cone
+        compliance = out[COMPLIANCE]
+        within = compliance * h / max(h, FINGER_SETTLING)
+        tangential = h * h / (h * model.stick_speed / model.load_sum + within)
+        cone = Cone(mu, give, within, tangential, damping, ramp)
+        bend = (compliance * y[LEAN], compliance * y[LEAN + 1])
     return Terms(cells, cone, out[INERTIA_FACTOR], (h * out[0], h * out[1], h * out[2]), bend)
 
 
@@ -390,9 +394,10 @@ def add_effect_slopes(effects, rim, model, terms, taken, slopes):  # type: ignor
         weigh_cells(model.load, effects.factor, h, effects.by_load, effects.by_factor)
         arrays = (effects.y, effects.c, rx, ry, effects.by_factor, effects.by_drag, effects.by_stretch, G)
         call_address(effects.addresses[2], arrays)
-    if effects.memory > 0:
-        last = (effects.y[STATE], effects.y[STATE + 1])
-        add_compliance(taken, last, model.stick_speed, model.load_sum, slopes.state)
+    if effects.bends:
+        lean = (effects.y[LEAN], effects.y[LEAN + 1])
+        compliance = effects.out[COMPLIANCE]
+        add_compliance(taken, compliance, lean, model.stick_speed, model.load_sum, slopes.state)
     add_formula_slopes(slopes, G, dout, terms.kappa)
 
 
