@@ -44,8 +44,8 @@ class Slots:
 
     Attributes:
         parameters: symbols of all parameters.
-        memory: symbols carried from step to step: none, or the last force, the lean of a finger that bends, and
-            the effects' own.
+        memory: symbols carried from step to step: none, or the last force, the lean of a finger that bends,
+            and the effects' own.
         y: symbols with respect to which the formulas are differentiated.
         body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade, then those of pyramids.
         factor: of a cell's friction.

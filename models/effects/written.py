@@ -36,7 +36,7 @@ QUANTITIES = {
         "the friction norm is c |u| + d (|u·e| + |u·n|), with e at angle α in the world and n normal to e",
     ),
     "inertia": ((r"\kappa",), "factor on the inertial mass"),
-    "compliance": (("C",), "true tip = recorded tip - C × force on the object"),
+    "compliance": (("C",), "true tip = recorded tip - b, with C × force on the object = b + 10 ms × db/dt"),
     "measured": ((r"\hat{x}", r"\hat{y}", r"\hat{\theta}"), "pose that the tracker reports"),
     "delay": ((r"\Delta t",), "the tracker reports the pose from Δt ago"),
     "felt": ((r"\hat{F}_{x}", r"\hat{F}_{y}"), "force that the sensor reports"),

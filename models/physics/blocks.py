@@ -5,7 +5,7 @@ It is stored in blocks of `LANES` parameters, flat in memory, with 9 + E rows ea
     0 … 5   d(state)/d(parameter), with the state x, y, θ (world) and v_x, v_y, omega (object frame)
     6 … 8   direct derivative of the step's gradient with respect to the parameter, `Slopes`; in the plain
             friction model without memory, a load has its cell's centre r_x, r_y there instead
-    9 …     d(memory)/d(parameter), of the E entries of memory: the last force, and the effects' own
+    9 …     d(memory)/d(parameter), of the E entries of memory: see `friction.py`
 
 Since a block is one piece of memory, the compiler sees that its lanes are independent and vectorises over
 them. Parameters are in this order, the loads padded to whole blocks:

@@ -486,7 +486,7 @@ def single_steps(  # type: ignore[no-untyped-def]
     """Take one step of K models in sequence, since waking other threads takes longer than the steps.
 
     The state is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), and the
-    effects' own memory. The columns of its Jacobian are, in this order,
+    rest of the effects' memory. The columns of its Jacobian are, in this order,
 
         f_1 … f_n, m, s_x, s_y, J, mu_finger, x, y, θ, v_x, v_y, omega, the effects' parameters (as in a
         rollout), last force, memory, wrench, finger before and after (world).
@@ -497,7 +497,7 @@ def single_steps(  # type: ignore[no-untyped-def]
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
         table: (1, 1, 7) `Rim.top`, or None.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
-        states: (K, Z) before the step, Z = 8 + the effects' own memory.
+        states: (K, Z) before the step, Z = 8 + the rest of the effects' memory.
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
             was not solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.

@@ -281,7 +281,7 @@ def add_compliance(taken, compliance, lean, stick_speed, load_sum, state):  # ty
 
     1/R_n = h²/(give/s + C h/τ), with the contact's stiffening s by damping, and 1/R_t = h²/(h creep + C h/τ),
     where give and creep = stick_speed / Σ f fall with the sum of loads. The lean (world, N), an entry of
-    memory, bends the finger by C · lean off its recorded place; free, it would straighten with time constant τ.
+    memory, bends the finger by C · lean off its recorded place; free, it straightens with time constant τ.
     """
     h, cone, frame, new = taken.h, taken.cone, taken.frame, taken.new
     settling = max(h, FINGER_SETTLING)

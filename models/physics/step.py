@@ -171,7 +171,10 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
 
 @compiled(forceinline=True)
 def bent_frame(frame, bend_x, bend_y, settling):  # type: ignore[no-untyped-def]
-    """The `Frame` with a finger bend_x, bend_y (world, m) off its recorded place, which settles in that time."""
+    """The `Frame` with a finger bend_x, bend_y (world, m) off its recorded place.
+
+    `settling` is its time constant, s.
+    """
     x, y = turned(frame.cos, -frame.sin, bend_x / settling, bend_y / settling)
     return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
 

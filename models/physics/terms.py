@@ -121,7 +121,7 @@ class Effects(NamedTuple):
     by_drag: NDArray[np.float64]
     by_stretch: NDArray[np.float64]
     after: NDArray[np.float64]  # (AFTER,)
-    # own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory
+    # own, down: (E - FORCE,) and (…, Y + AFTER) of the memory besides the force
     own: NDArray[np.float64]
     down: NDArray[np.float64]
     G: NDArray[np.float64]  # (3, Y) derivative of the gradient with respect to y

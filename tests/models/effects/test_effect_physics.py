@@ -250,16 +250,39 @@ def test_drift_scales_the_force_by_the_order_of_the_push() -> None:
         assert force / plain == pytest.approx(np.exp(0.03 * order), rel=1e-5)
 
 
-def test_a_bending_finger_stays_behind_by_compliance_times_force() -> None:
-    compliance, push = 2e-3, steady_push(0.0)
+@pytest.mark.parametrize("h", [1e-3, 2e-3, 5e-3, 0.01])
+def test_a_bending_finger_is_a_damped_spring_at_any_step(h: float) -> None:
+    """After contact the object swings on the finger: m b'' + (τ b' + b)/C = friction, for the bend b."""
+    compliance, speed = 2e-3, 0.05
+    ends = h * np.arange(round(1.0 / h) + 1)
+    tip = np.column_stack([speed * ends - 0.03 - 0.005, 0 * ends])
+    push = Push(h, tip, np.zeros(3), force_times=ends[1:] - h / 2)
     out = slide([EFFECTS["finger_compliance"]], [compliance], push, grid=SQUARE, mass=MASS, mu=MU)
-    behind = push.tip[1:, 0] + 0.005 + 0.03 - out.poses[0, :, 0]
-    force = out.forces[0, :, 0]
-    # The object swings on the bent finger; at every instant the deflection matches the force.
-    assert behind[50:] == pytest.approx(compliance * force[50:], rel=0.01)
-    assert np.ptp(force[50:]) > 0.1 * MU * MASS * G
-    period = round(2 * np.pi * np.sqrt(MASS * compliance) / push.h)
-    assert force[-period:].mean() == pytest.approx(MU * MASS * G, rel=0.05)
+    behind, force = tip[1:, 0] + 0.005 + 0.03 - out.poses[0, :, 0], out.forces[0, :, 0]
+    friction, settling = MU * MASS * G, 0.01
+    # It starts to slide when spring and damper hold the friction, with b' = speed.
+    rest, late = compliance * friction, settling * speed
+    rate = 1 / np.sqrt(MASS * compliance)
+    damping = 0.5 * settling * rate**2
+    swing = np.sqrt(rate**2 - damping**2)
+    shape = np.array([-late, (speed - damping * late) / swing])
+
+    def bend_at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bend and its rate."""
+        turned = np.stack([np.cos(swing * time), np.sin(swing * time)])
+        turning = swing * np.stack([-turned[1], turned[0]])
+        fade = np.exp(-damping * time)
+        return rest + fade * (shape @ turned), fade * (shape @ (turning - damping * turned))
+
+    time = ends[1:] - (rest - late) / speed
+    slides = time > 0.03
+    bend, _ = bend_at(time[slides])
+    assert np.ptp(bend) > 1e-3
+    assert behind[slides] == pytest.approx(bend, abs=1e-4)
+    # A step's force is that at its start: it changes the mean speed of the step before into that of the step.
+    bend, turn = bend_at(time[slides] - h)
+    assert force[slides] == pytest.approx((bend + settling * turn) / compliance, rel=0.05)
+    assert force[-1] == pytest.approx(friction, rel=0.01)
 
 
 def test_natural_frequency_of_a_loose_mass() -> None:
