@@ -69,16 +69,16 @@ def with_values(maps: Maps, values: FloatArray | Sequence[float]) -> Maps:
     return Maps(maps.mass, maps.mu, maps.mu_finger, np.atleast_2d(np.asarray(values, dtype=float)))
 
 
-def sliding_push(duration: float = 0.6) -> Push:
+def sliding_push(duration: float = 0.6, h: float = H) -> Push:
     """The finger slides along the left side at 5 cm/s. It touches once and stays, far from corners."""
     start = np.array([0.02, -0.01, 0.3])
     c, s = np.cos(start[2]), np.sin(start[2])
     turn = np.array([[c, -s], [s, c]])
     begin = start[:2] + turn @ [-0.05 - RADIUS - 2e-4, 0.008]
     velocity = 0.05 * turn @ [np.cos(0.6), np.sin(0.6)]
-    steps = round(duration / H)
-    ends = H * np.arange(steps + 1)
-    return Push(H, begin + np.outer(ends, velocity), start, force_times=ends[:-1] + H / 2, order=4.0)
+    steps = round(duration / h)
+    ends = h * np.arange(steps + 1)
+    return Push(h, begin + np.outer(ends, velocity), start, force_times=ends[:-1] + h / 2, order=4.0)
 
 
 def coasting(duration: float = 0.3) -> Push:
