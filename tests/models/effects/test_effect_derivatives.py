@@ -102,7 +102,9 @@ def test_sensitivities_of_effects_together(names: tuple[str, ...]) -> None:
     check([EFFECTS[name] for name in names], values, PUSHES["finger"])
 
 
-@pytest.mark.parametrize("names", [("finger_compliance",), ("finger_compliance", "load_transfer")], ids=" ".join)
+@pytest.mark.parametrize(
+    "names", [("finger_compliance",), ("finger_compliance", "load_transfer")], ids=" ".join
+)
 def test_sensitivities_of_a_finger_that_settles_over_several_steps(names: tuple[str, ...]) -> None:
     values = np.concatenate([SHOWN[name] for name in names])
     check([EFFECTS[name] for name in names], values, sliding_push(0.4, 4e-3))
