@@ -15,6 +15,12 @@ Hypotheses scatter by what pushes disagree about. Where the model is good, the f
 than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
 interval of a quantity that is shown follows from the scatter or from the posterior variance, averaged over
 the explanations, whichever is wider. (What is left open may be far from linear; there hypotheses alone tell.)
+
+Pushes show sums over the whole base, such as the centre and the arm of friction. What lies in a third of it
+also follows from how maps vary. Structures with one scale of variation are sure that a nearly empty third
+holds more than it does, and the evidence does not single out the structure that is right. So a share counts
+as shown only if every explanation in the belief shows it, and if structures that vary strongly were compared;
+and its interval, shown or not, is as wide as the explanation that leaves most open makes it.
 """
 
 from __future__ import annotations
@@ -45,6 +51,9 @@ arm of three by three equal cells is 1.07 widths, that of four by four 1.53."""
 
 _SMALL_BASE = 0.5
 """Share of the whole footprint's arm below which an object rests on a part of it."""
+
+
+_TOO_ALIKE = "so few pushes with such errors do not show how strongly the maps vary"
 
 
 class Informed(NamedTuple):
@@ -106,14 +115,15 @@ class _Seen:
 
 
 def quantities(
-    belief: Belief, informed: Sequence[Informed], *, contradicted: bool = False
+    belief: Belief, informed: Sequence[Informed], *, contradicted: bool = False, bold: bool = True
 ) -> tuple[Quantity, ...]:
     """Value, 90 % interval and verdict for each quantity.
 
     Args:
         belief: the hypotheses.
-        informed: fits that they come from; the first decides what is shown.
+        informed: fits that they come from; the first decides what is shown, of shares all of them.
         contradicted: whether a measured force was left out because it contradicts the contact.
+        bold: whether maps that vary strongly were compared with the others.
     """
     likelihood = informed[0].likelihood
     prior = likelihood.prior
@@ -121,27 +131,37 @@ def quantities(
     measures = _measures(prior.slider, seen, prior.mass is not None)
     variances = [_variances(measures, one) for one in informed]
     shares = np.array([one.share for one in informed])
-    averages = shares @ [after for _, after in variances] / shares.sum()
+    left = np.array([after for _, after in variances])
+    averages = shares @ left / shares.sum()
     left_by_loads = _left_by_loads(measures, prior, informed[0].fit.z)
     if prior.known is not None:
         free = MapPrior(prior.slider, prior.settings, prior.mass)
         open_widths = [g @ g for g in _gradients(measures, free, np.zeros(free.size))]
     results = []
     for place, measure in enumerate(measures):
-        before, after = (one[place] for one in variances[0])
-        if prior.known is not None and before < SHOWN_SHARE * open_widths[place]:
+        if prior.known is not None and variances[0][0][place] < SHOWN_SHARE * open_widths[place]:
             measure = replace(
                 measure, given=True, shown=measure.shown if measure.given else "known beforehand"
             )
-        narrowed = bool(measure.given or after < SHOWN_SHARE * before)
-        by_loads = measure.inertial and not measure.given and after >= SHOWN_SHARE * left_by_loads[place]
-        shown = narrowed and not by_loads
+        deciding = variances if measure.share else variances[:1]
+        narrowed = bool(
+            measure.given or all(after[place] < SHOWN_SHARE * before[place] for before, after in deciding)
+        )
+        by_loads = (
+            measure.inertial
+            and not measure.given
+            and variances[0][1][place] >= SHOWN_SHARE * left_by_loads[place]
+        )
+        alike = measure.share and not measure.given and not bold
+        shown = narrowed and not by_loads and not alike
         values = measure.of(belief.maps)
-        more = _beyond(values, belief.probability, averages[place], measure.log) if narrowed else 0.0
+        variance = left[:, place].max() if measure.share else averages[place]
+        widened = narrowed or measure.share
+        more = _beyond(values, belief.probability, float(variance), measure.log) if widened else 0.0
         value, low, high = interval(values, belief.probability, log=measure.log, more=more)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
-        reason = measure.shown if shown else measure.open
+        reason = measure.shown if shown else _TOO_ALIKE if narrowed and alike else measure.open
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
     return tuple(results)
 

@@ -29,7 +29,14 @@ from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.gauss_newton import fit as fit_maps
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.mixture import EffectsGiven, explain, mixed_belief, on_a_slope, weighed
+from slipmap.models.inference.mixture import (
+    EffectsGiven,
+    bold_compared,
+    explain,
+    mixed_belief,
+    on_a_slope,
+    weighed,
+)
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
@@ -159,7 +166,7 @@ def learn(
     predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
-    facts = quantities(learned, informed, contradicted=contradicted)
+    facts = quantities(learned, informed, contradicted=contradicted, bold=bold_compared(every))
     facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(

@@ -43,7 +43,15 @@ from slipmap.models.inference.hypotheses import (
 )
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prior import BOLD, PLAUSIBLE, MapPrior, PriorSettings, slider_for, structures_of
+from slipmap.models.inference.prior import (
+    BOLD,
+    PLAUSIBLE,
+    STRUCTURES,
+    MapPrior,
+    PriorSettings,
+    slider_for,
+    structures_of,
+)
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
@@ -268,6 +276,13 @@ def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
     if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
         return list(every)
     return [one for one in every if one.structure not in BOLD or (one.law == PLAIN and one.exact)]
+
+
+def bold_compared(every: Sequence[Explanation]) -> bool:
+    """Whether structures that vary strongly were among those compared, or the structure was given."""
+    enough = len(every[0].likelihood.observations) >= _ENOUGH_PUSHES
+    exact = any(one.law == PLAIN and one.exact for one in every)
+    return enough or exact or any(one.structure not in STRUCTURES for one in every)
 
 
 def _likeliest(every: Sequence[Explanation]) -> Explanation:

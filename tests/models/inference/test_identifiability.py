@@ -1,10 +1,12 @@
-"""Whether mass and moment of inertia count as shown."""
+"""Whether mass, moment of inertia and shares of thirds count as shown, and whether intervals hold."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from slipmap.models.inference import identification
+from slipmap.models.inference.identifiability import thirds_of
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import PushDataset
@@ -61,3 +63,40 @@ def test_a_weighed_mass_is_shown_even_by_slow_pushes():
     facts = learned(replace(dataset, mass=mass))
     assert facts["total mass"].shown
     assert not facts["moment of inertia about the centre of mass"].shown
+
+
+def light_in_the_middle(seed: int) -> tuple[PushDataset, dict[str, float]]:
+    """Pushes of a block with a nearly massless middle, and the true shares of its thirds."""
+    grid = cells_from_polygon([[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]], count=40)
+    slider = Slider(grid, finger_radius=0.006)
+    mass = np.where(np.abs(grid.centers[:, 0]) > 0.025, 1.0, 0.003)
+    maps = Maps(mass[None] / mass.sum(), np.full((1, len(grid)), 0.3), np.array([0.3]))
+    rng = np.random.default_rng(seed)
+    pushes = [
+        candidate.push([0.0, 0.0, rng.uniform(-3.0, 3.0)])
+        for candidate in candidate_pushes(grid, 0.006, rng, 6, length=(0.05, 0.1), speed=(0.03, 0.1))
+    ]
+    load = maps.mass[0] / maps.mass.sum()
+    shares = {name: float(load @ parts) for name, parts in thirds_of(grid)}
+    return record_pushes(slider, maps, pushes, rng, rate=100.0), shares
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_shares_of_thirds_allow_for_maps_that_vary_more_than_the_likeliest_structure(seed):
+    dataset, shares = light_in_the_middle(seed)
+    facts = learned(dataset)
+    for name, share in shares.items():
+        fact = facts[f"share of mass × friction, {name}"]
+        assert fact.low <= share <= fact.high, fact
+
+
+def test_shares_are_not_shown_if_maps_that_vary_strongly_were_not_compared(monkeypatch):
+    dataset, _ = light_in_the_middle(0)
+    before = learned(dataset)
+    monkeypatch.setattr(identification, "bold_compared", lambda every: False)
+    after = learned(dataset)
+    of_shares = [name for name in before if name.startswith("share")]
+    assert any(before[name].shown for name in of_shares)
+    assert not any(after[name].shown for name in of_shares)
+    assert any("how strongly the maps vary" in after[name].reason for name in of_shares)
+    assert all(after[name] == before[name] for name in before if name not in of_shares)

@@ -17,7 +17,14 @@ from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import beside_slope, effect_prior
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import fit, identify
-from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, explain, shared_out
+from slipmap.models.inference.mixture import (
+    LEAST_SHARE,
+    Explanation,
+    _counts,
+    bold_compared,
+    explain,
+    shared_out,
+)
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import STRUCTURES
 from slipmap.models.measurements import PushDataset, read_dataset
@@ -346,3 +353,25 @@ def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  
 def test_real_pushes_are_predicted_with_all_laws(shared_data) -> None:  # type: ignore[no-untyped-def]
     result = identify(read_dataset(shared_data / "real/cpush_square"), friction_laws=True)
     assert result.errors("heldout").mean() < 6e-3
+
+
+@pytest.mark.parametrize(
+    ("pushes", "exact_law", "structure", "compared"),
+    [
+        (7, None, "uneven", False),
+        (7, "load_transfer", "smooth", False),
+        (7, "plain", "smooth", True),
+        (8, None, "uneven", True),
+        (3, None, "own", True),
+    ],
+)
+def test_maps_that_vary_strongly_are_compared_with_enough_or_exact_pushes(
+    pushes, exact_law, structure, compared
+):
+    one: Any = SimpleNamespace(
+        likelihood=SimpleNamespace(observations=[None] * pushes),
+        exact=exact_law is not None,
+        law=exact_law or "plain",
+        structure=structure,
+    )
+    assert bold_compared([one]) is compared
