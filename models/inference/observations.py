@@ -43,6 +43,8 @@ after it, so that most of the poses and forces compared are not those of rest.""
 
 _LEAST_REST = 0.5  # s, kept before and after the motion if there is so much
 
+_TURNING_ARM = 0.03  # m; a rotation counts like a motion so far from the axis
+
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
@@ -196,8 +198,13 @@ def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
     the number of these rows."""
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
     calm = uniform_filter1d(poses, 5, axis=0, mode="nearest")
-    moved = np.hypot(*(calm[:, :2] - calm[0, :2]).T) + 0.03 * np.abs(calm[:, 2] - calm[0, 2])
-    moving = np.flatnonzero(moved > max(jitter, 5e-4))
+    way = np.hypot(*(calm[:, :2] - calm[0, :2]).T)
+    turned = _TURNING_ARM * np.abs(calm[:, 2] - calm[0, 2])
+    # Angles much noisier than positions are no sign of motion. Steady rotation has no second differences.
+    second = np.abs(np.diff(poses[:, 2], 2)) if len(poses) > 2 else np.zeros(1)
+    jitter_of_angle = 3.0 * _TURNING_ARM * float(np.median(second)) / np.sqrt(3.0)
+    least = max(jitter, 5e-4)
+    moving = np.flatnonzero((way > least) | (way + turned > max(least, jitter_of_angle)))
     still = max(1, int(0.7 * (moving[0] if len(moving) else len(poses))))
     return poses[:still].mean(axis=0), still
 
@@ -212,7 +219,7 @@ def _without_long_rest(trial: Trial) -> Trial:
         return trial
     calm = uniform_filter1d(poses, AVERAGED, axis=0, mode="nearest")
     from_start, to_end = (
-        np.hypot(*(calm[:, :2] - still[:2]).T) + 0.03 * np.abs(calm[:, 2] - still[2])
+        np.hypot(*(calm[:, :2] - still[:2]).T) + _TURNING_ARM * np.abs(calm[:, 2] - still[2])
         for still in calm[[0, -1]]
     )
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4  # m

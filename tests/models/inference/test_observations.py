@@ -117,6 +117,26 @@ def test_start_pose_is_the_mean_of_the_resting_rows():
     assert not observation.push.start_twist.any()
 
 
+def test_noise_of_the_angle_alone_does_not_end_the_rest():
+    trial = resting_trial(1e-4)
+    pose = trial.object_pose.values.copy()
+    pose[:, 2] = np.radians(2.0) * np.random.default_rng(2).standard_normal(len(pose))
+    noisy = observe(replace(trial, object_pose=Channel(trial.object_pose.time, pose)))
+    still = observe(trial)
+    assert still.start_rows > 60
+    assert noisy.start_rows == pytest.approx(still.start_rows, abs=2)
+
+
+def test_an_object_that_turns_on_the_spot_is_not_at_rest():
+    """Its angle, not noise of it, changes from row to row."""
+    trial = resting_trial(1e-4)
+    pose = trial.object_pose.values.copy()
+    pose[:, :2] -= 0.02 * np.maximum(trial.object_pose.time - 1.0, 0.0)[:, None] * [1.0, 0.0]
+    pose[:, 2] = 2.0 * np.maximum(trial.object_pose.time - 1.0, 0.0)
+    turning = observe(replace(trial, object_pose=Channel(trial.object_pose.time, pose)))
+    assert 60 < turning.start_rows < 75
+
+
 def test_first_touch_and_stop_do_not_count_as_force():
     observation = observe(resting_trial(0.0))
     times = observation.push.force_times
