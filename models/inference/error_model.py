@@ -1,7 +1,7 @@
 """Error model of the residuals of one push: independent noise in each row, plus correlated model error.
 
-A pose carries sensor noise, independent from row to row, and the error of the best model of its kind: its
-rate, per metre travelled, has standard deviation α and correlation length ℓ,
+A pose carries sensor noise, independent between poses that are compared, and the error of the best model of
+its kind: its rate, per metre travelled, has standard deviation α and correlation length ℓ,
 
     cov(e(T), e(T')) = α² ∫₀^T ∫₀^T' exp(-|a - b| / ℓ) da db.
 
@@ -14,8 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
+from slipmap.models.inference.lasting_noise import NONE_LASTS, Lasting, lasting_noise, rests_of
 from slipmap.models.inference.observations import Observation
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.motion import rounding_noise
@@ -44,11 +46,19 @@ class SensorNoise:
     declared: bool
     # whether no push has enough poses for an estimate either, so that the poses' noise is the least possible
     assumed: bool = False
+    # how much of the poses' noise lasts from row to row; nothing where it is declared
+    lasting_position: Lasting = NONE_LASTS
+    lasting_angle: Lasting = NONE_LASTS
 
     @property
     def of_poses(self) -> FloatArray:
         """(3,) of x, y and θ."""
         return np.array([self.position, self.position, self.angle])
+
+    def of_means(self, rows: ArrayLike) -> FloatArray:
+        """(…, 3) of x, y and θ of means of so many consecutive rows (…)."""
+        position, angle = self.lasting_position.independent(rows), self.lasting_angle.independent(rows)
+        return self.of_poses / np.sqrt(np.stack([position, position, angle], axis=-1))
 
 
 @dataclass(frozen=True)
@@ -67,12 +77,9 @@ class ErrorModel:
             travel: (S,) distance travelled by the cells up to each pose, m, ascending.
             radius: ρ, by which angles are multiplied, m.
         """
-        n = self.noise
         lasting = self.motion**2 * _accumulated(travel)
-        rows = [
-            np.diag(sigma**2 / observation.pose_rows) for sigma in (n.position, n.position, radius * n.angle)
-        ]
-        return lasting + np.array(rows)
+        rows = (self.noise.of_means(observation.pose_rows) * [1.0, 1.0, radius]) ** 2
+        return lasting + np.array([np.diag(one) for one in rows.T])
 
     def force_covariance(self, observation: Observation) -> FloatArray:
         """Covariance (T, T) of one component of the forces of a push that count."""
@@ -100,26 +107,29 @@ def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
 
 
 def sensor_noise(dataset: PushDataset) -> SensorNoise:
-    """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows and their
-    rounding."""
+    """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows, their
+    rounding, and the scatter of poses while the object rests."""
     declared = dataset.noise
     position, angle, force = declared.position, declared.angle, declared.force
     known, assumed = position is not None and angle is not None, False
+    of_position = of_angle = NONE_LASTS
     if position is None or angle is None:
         dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) >= _ENOUGH]
         assumed = not dense
         typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
         typical = np.maximum(typical, rounding_noise([channel.values for channel in dense]))
+        rests = [rest for trial in dataset.trials for rest in rests_of(dataset, trial)]
         # A sensor that repeats rows appears to have no noise.
         if position is None:
-            position = max(float(np.hypot(typical[0], typical[1]) / np.sqrt(2.0)), 1e-4)
+            white = float(np.hypot(typical[0], typical[1]) / np.sqrt(2.0))
+            position, of_position = lasting_noise([rest[:, :2] for rest in rests], white, 1e-4)
         if angle is None:
-            angle = max(float(typical[2]), 1e-3)
+            angle, of_angle = lasting_noise([rest[:, 2:] for rest in rests], float(typical[2]), 1e-3)
     if force is None:
         wrenches = [trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None]
         found = [_white(channel.values[:, :2]).mean() for channel in wrenches if len(channel.time) > 5]
         force = max(float(np.median(found)), 0.02) if found else 0.1
-    return SensorNoise(position, angle, force, known, assumed)
+    return SensorNoise(position, angle, force, known, assumed, of_position, of_angle)
 
 
 def _white(values: FloatArray) -> FloatArray:

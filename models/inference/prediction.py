@@ -336,8 +336,8 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
     p = belief.probability
     # The same for every push, so that its region does not depend on which others are predicted with it.
     offsets = np.random.default_rng(_STARTS).standard_normal((len(p), 1, 3))
-    offsets = (offsets - np.einsum("k,kbi->bi", p, offsets)) * noise.of_poses
-    offsets = offsets / np.sqrt([observation.start_rows for observation in observations])[:, None]
+    offsets = offsets - np.einsum("k,kbi->bi", p, offsets)
+    offsets = offsets * noise.of_means([observation.start_rows for observation in observations])
     starts = np.array([observation.push.start_pose for observation in observations]) + offsets
     pushes = [observation.likely_pushes for observation in observations]
     tracks = min(len(p), max(len(likely) for likely in pushes))

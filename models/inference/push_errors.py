@@ -53,9 +53,9 @@ def errors(
     if forces is not None and used.any():
         force = _rms(forces[used] - observation.forces[used])
         share = force / _rms(observation.forces[used])
-    sigma = np.array([noise.position, noise.position, noise.angle])
     # Rescale a mean of rows to the noise of a single row.
-    square = ((poses - measured) / sigma) ** 2 + (1.0 - 1.0 / observation.pose_rows)[:, None]
+    missing = 1.0 - (noise.of_means(observation.pose_rows) / noise.of_poses) ** 2
+    square = ((poses - measured) / noise.of_poses) ** 2 + missing
     squares = [square.ravel()]
     if forces is not None and used.any():
         squares.append(((forces[used] - observation.forces[used]) ** 2).ravel() / noise.force**2)

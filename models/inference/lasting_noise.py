@@ -1,0 +1,114 @@
+"""Sensor noise that lasts from row to row, found while objects rest.
+
+A tracker that filters its rows, or a tag whose pose drifts, errs by much the same in neighbouring rows.
+Differences of neighbouring rows then show a small part of the noise. Before the finger comes and after it has
+gone the object rests, and poses change by noise alone. With white noise of variance w² and lasting noise of
+variance s² and memory τ, rows k apart differ by the variance 2 (w² + s² (1 - exp(-k/τ))).
+
+It is estimated from differences over long distances in rows, without the few rests in which the object
+creeps, slides on, or is touched earlier than its outline says: those with far larger differences than the
+median rest. A rest much shorter than τ cannot tell s; τ then counts as no longer than the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slipmap.models.measurements import PushDataset, Trial, finger_path, pose_times
+from slipmap.models.measurements.contact import gaps
+from slipmap.models.physics.cell_grid import FloatArray
+
+_CLEAR = 2e-3  # m from the outline, farther than clocks and frames are usually off
+_STANDING = 5e-4  # m; a finger that stays so close to its last place stands
+_SHORTEST = 10  # rows of a rest, and of the distance
+_FEWEST = 5  # pushes with a rest
+_SIGNIFICANCE = 3.5  # standard errors of white noise
+_UNLIKE = 9.0  # times the median mean square of rests; of sound ones with two numbers, one in 500 is above it
+_DISTANCE = 2.0 / 3.0  # of the rests' length
+_SHORTEST_MEMORY, _LONGEST_MEMORY = 0.05, 1.0 / _DISTANCE  # τ in multiples of the distance
+
+
+@dataclass(frozen=True)
+class Lasting:
+    """How much of a sensor's noise lasts from row to row."""
+
+    share: float = 0.0  # of the variance
+    memory: float = 1.0  # τ, rows
+
+    def independent(self, rows: ArrayLike) -> FloatArray:
+        """Number of independent rows whose mean is as good as that of so many consecutive rows."""
+        n = np.asarray(rows, dtype=float)
+        if not self.share:
+            return n
+        kept = np.exp(-1.0 / self.memory)
+        # 1/n² Σ_ij kept^|i - j|, the variance of the mean of the lasting part.
+        lasting = (1.0 + kept) / (1.0 - kept) / n - 2.0 * kept * (1.0 - kept**n) / (n * (1.0 - kept)) ** 2
+        return np.asarray(1.0 / ((1.0 - self.share) / n + self.share * lasting))
+
+
+NONE_LASTS = Lasting()
+
+
+def lasting_noise(rests: Sequence[FloatArray], white: float, least: float) -> tuple[float, Lasting]:
+    """Standard deviation of the noise of a sensor, and how much of it lasts.
+
+    Args:
+        rests: rows (T, c) of c channels with the same noise, one array a rest.
+        white: the deviation that neighbouring rows show.
+        least: smallest deviation that counts; the larger of the two is returned where rests show no more.
+    """
+    unchanged = max(white, least), NONE_LASTS
+    lengths = np.sort([len(rest) for rest in rests if len(rest) > _SHORTEST])
+    if len(lengths) < _FEWEST:
+        return unchanged
+    # At least half of the rests, and enough of them, are so long.
+    length = int(lengths[min(len(lengths) // 2, len(lengths) - _FEWEST)])
+    apart = int(_DISTANCE * length)
+    square, count = _half_mean_square(rests, apart)
+    if square <= max(white, least) ** 2 * (1.0 + _SIGNIFICANCE / np.sqrt(count)) ** 2:
+        return unchanged
+    by_far = square - white**2
+    by_half = _half_mean_square(rests, apart // 2)[0] - white**2
+    # exp(-k/2τ) from the growth between half the distance k and all of it.
+    limits = np.exp(-0.5 / np.array([_SHORTEST_MEMORY, _LONGEST_MEMORY]))
+    kept = float(np.clip(by_far / max(by_half, 1e-3 * by_far) - 1.0, *limits))
+    lasting = by_far / (1.0 - kept**2)
+    total = white**2 + lasting
+    return float(np.sqrt(total)), Lasting(lasting / total, -0.5 * apart / float(np.log(kept)))
+
+
+def _half_mean_square(rests: Sequence[FloatArray], apart: int) -> tuple[float, int]:
+    """Half the mean square of differences of rows so far apart, and the number of differences, without rests
+    that are unlike most others."""
+    squares = [0.5 * (rest[apart:] - rest[:-apart]) ** 2 for rest in rests if len(rest) > apart]
+    means = np.array([one.mean() for one in squares])
+    alike = np.concatenate(
+        [one.ravel() for one, mean in zip(squares, means, strict=True) if mean <= _UNLIKE * np.median(means)]
+    )
+    return float(alike.mean()), len(alike)
+
+
+def rests_of(dataset: PushDataset, trial: Trial) -> list[FloatArray]:
+    """Poses (T, 3) of the rests before the finger comes near and after it has left or stopped.
+
+    Of the second only the later half counts: an object that was struck slides on for a while.
+    """
+    if trial.ends_only or not trial.has_finger or trial.initial_velocity().any():
+        return []
+    poses = trial.object_pose.values
+    times = pose_times(trial)
+    path_times, path = finger_path(trial)
+    tips = np.column_stack([np.interp(times, path_times, column) for column in path.T])
+    few = min(5, len(poses))
+    first, last = np.median(poses[:few], axis=0), np.median(poses[-few:], axis=0)
+    near = np.flatnonzero(gaps(dataset, tips, first) < _CLEAR)
+    before = poses[: near[0]] if len(near) else poses[:0]
+    moving = np.hypot(*(tips - tips[-1]).T) > _STANDING
+    busy = np.flatnonzero((gaps(dataset, tips, last) < _CLEAR) & moving)
+    begun = int(busy[-1]) + 1 if len(busy) else len(poses)
+    after = poses[(begun + len(poses) + 1) // 2 :]
+    return [rest for rest in (before, after) if len(rest)]
