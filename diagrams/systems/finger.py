@@ -79,8 +79,7 @@ class FingerPath(PythonSystem):
 
     Raises:
         ValueError: a step that is not positive, a negative rest, a pause that is negative or not finite, or
-            too short for a `TrialLogger` to see that the
-            finger is up between two pushes.
+            too short for a `TrialLogger` to see that the finger is up between two pushes.
 
     Example:
         >>> import slipmap

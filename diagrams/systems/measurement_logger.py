@@ -34,6 +34,7 @@ MISPLACED, TURNED = 4e-3, 0.05
 
 _MOVED = np.array([1e-3, 1e-3, 0.01])  # m, m, rad; two looks at an object at rest may differ by less
 _FELT = 0.5  # N; the arm may measure less without contact
+_EXACT = 0.1  # share of both that a `TrialLogger` can tell
 # m, and m/s in addition to the speed at its end: a finger that moves farther between two rows has jumped
 _JUMP, _USUAL_SPEED = 0.02, 0.5
 
@@ -65,12 +66,14 @@ class _Recording:
         trial = Trial(name, role, channel(poses), channel(self.tips), forces)
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
-    def touched(self, rest: Row) -> bool:
-        """Whether the finger touched the object: it moved or pushed back."""
+    def touched(self, rest: Row, share: float = 1.0) -> bool:
+        """Whether the finger touched the object: it moved or pushed back by more than a share of what the
+        arm's sensors can tell."""
         off = np.abs(np.subtract(rest, self.poses[0]))[1:]
-        if (off > _MOVED).any():
+        if (off > share * _MOVED).any():
             return True
-        return bool(np.hypot(*np.array(self.forces)[:, 1:3].T).max() > _FELT) if self.forces else False
+        felt = np.hypot(*np.array(self.forces)[:, 1:3].T).max() if self.forces else 0.0
+        return bool(felt > share * _FELT)
 
 
 class MeasurementLogger(PythonSystem):
@@ -185,7 +188,8 @@ class TrialLogger(PythonSystem):
 
     A trial lasts from when the finger comes down until it is lifted for at least a period. The finger should
     come down clear of the object, and the object should be at rest at both times. A push is not a trial if it
-    touched nothing, so that the object neither moved nor pushed back, or if fewer than two poses were seen.
+    touched nothing, so that the object neither moved by 0.1 mm or 1 mrad nor pushed back with 0.05 N, or if
+    fewer than two poses were seen.
 
     Args:
         fit: number of trials to learn from; later ones are for judging. If None, all are to learn from.
@@ -232,7 +236,7 @@ class TrialLogger(PythonSystem):
             if force is not None and np.isfinite(force).all():
                 now = replace(now, forces=(*now.forces, (time, *force, 0.0)))
         elif now.tips:
-            if len(now.poses) < 2 or not now.touched(now.poses[-1]):
+            if len(now.poses) < 2 or not now.touched(now.poses[-1], _EXACT):
                 return _Recording(now.trials)
             role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
             now = now.completed(role, now.poses)

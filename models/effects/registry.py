@@ -152,6 +152,9 @@ def effects_given(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
         return effects_named(effects)  # says how to write it
     if isinstance(effects, Effect):
         raise EffectError(f"effects must be a list, got one effect; write [{effects.name}]")
+    if not isinstance(effects, Iterable):
+        raise EffectError(f"effects must be a list of names or effects, got {effects!r}")
+    effects = tuple(effects)
     for effect in effects:
         if not isinstance(effect, Effect | str):
             raise EffectError(f"effects must be names or objects of a class of Effect, got {effect!r}")

@@ -24,8 +24,8 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _CLEAR = 2e-3  # m from the outline, farther than clocks and frames are usually off
 _STANDING = 5e-4  # m; a finger that stays so close to its last place stands
-_SHORTEST = 10  # rows of a rest, and of the distance
-_FEWEST = 5  # pushes with a rest
+_SHORTEST = 10  # rows of a rest
+_FEWEST = 5  # rests
 _SIGNIFICANCE = 3.5  # standard errors of white noise
 _UNLIKE = 9.0  # times the median mean square of rests; of sound ones with two numbers, one in 500 is above it
 _DISTANCE = 2.0 / 3.0  # of the rests' length
@@ -70,6 +70,10 @@ def lasting_noise(rests: Sequence[FloatArray], white: float, least: float) -> tu
     apart = int(_DISTANCE * length)
     square, count = _half_mean_square(rests, apart)
     if square <= max(white, least) ** 2 * (1.0 + _SIGNIFICANCE / np.sqrt(count)) ** 2:
+        return unchanged
+    # Outliers are in the differences of neighbours as well, noise that lasts hardly is.
+    near, _ = _half_mean_square(rests, 1)
+    if square <= near * (1.0 + _SIGNIFICANCE / np.sqrt(count)) ** 2:
         return unchanged
     by_far = square - white**2
     by_half = _half_mean_square(rests, apart // 2)[0] - white**2

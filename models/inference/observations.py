@@ -48,7 +48,7 @@ _TURNING_ARM = 0.03  # m; a rotation counts like a motion so far from the axis
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
-_DRAWN_TRACKS = [0, 1, 2, 3, 8, 9, 10, 11]  # of those that `smooth_track` returns; pairs of opposite noise
+_DRAWN_TRACKS = [0, 8, 1, 9, 2, 10, 3, 11]  # of those that `smooth_track` returns, each beside its opposite
 _LEAST_SCATTER = 2e-6  # m between tracks that matters
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 

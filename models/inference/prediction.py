@@ -346,6 +346,11 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
         own = slice(track, None, tracks)
         along = [likely[track % len(likely)] for likely in pushes]
         ends[own] = belief.slider.rollout(belief.maps[own], along, start_poses=starts[own]).end[:, :, :3]
+    if tracks > 1:
+        # A single track carries a struck object too far, see `smooth_track`.
+        recorded = [observation.push for observation in observations]
+        along_mean = belief.slider.rollout(belief.maps, recorded, start_poses=starts).end[:, :, :3]
+        ends += np.einsum("k,kbi->bi", p, along_mean - ends)
     return ends
 
 

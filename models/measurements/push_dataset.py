@@ -199,6 +199,15 @@ class Noise:
                 object.__setattr__(self, name, max(value, least))
 
 
+def _finite(values: object, count: int) -> bool:
+    """Whether these are so many finite numbers."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    return numbers.shape == (count,) and bool(np.isfinite(numbers).all())
+
+
 @dataclass(frozen=True)
 class Table:
     """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
@@ -220,11 +229,11 @@ class Table:
 
     def __post_init__(self) -> None:
         check_choice("Table: shape", self.shape, ("round", "rectangle"))
-        if np.shape(self.center) != (2,) or not np.isfinite(self.center).all():
+        if not _finite(self.center, 2):
             raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
         if self.shape == "round":
             check_positive("Table: radius of a round table", self.radius, "m")
-        elif self.size is None or len(self.size) != 2 or not all(0 < side < np.inf for side in self.size):
+        elif self.size is None or not _finite(self.size, 2) or min(self.size) <= 0:
             raise ValueError(
                 f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
             )

@@ -164,7 +164,7 @@ def test_pushes_after_those_to_learn_from_judge_and_force_is_optional() -> None:
     assert seen.valid and seen.time == pytest.approx(20 * H) and seen.pose.tolist() == [0.2, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("force", [None, [0.1, 0.0], [np.nan, np.nan], [2.0, 0.0]])
+@pytest.mark.parametrize("force", [None, [0.02, 0.0], [np.nan, np.nan], [0.2, 0.0]])
 def test_a_push_that_touches_nothing_is_no_trial(force: list[float] | None) -> None:
     """It would calm a monitor, whose hypotheses do not move either."""
     inputs = {} if force is None else {"finger_force": force}
@@ -172,7 +172,7 @@ def test_a_push_that_touches_nothing_is_no_trial(force: list[float] | None) -> N
     logger.advance(5 * H)
     logger.set(finger=np.full(4, np.nan))
     logger.advance(5 * H)
-    assert len(logger.read("trials")) == (force == [2.0, 0.0])
+    assert len(logger.read("trials")) == (force == [0.2, 0.0])
 
 
 def test_rows_of_a_tracker_that_lost_the_object_are_left_out() -> None:

@@ -57,6 +57,15 @@ def test_rests_are_the_rows_before_the_finger_comes_and_after_it_has_gone():
     assert np.abs(before[:, 0]).max() < 4 * SIGMA[0] and np.ptp(after[:, 0]) < 8 * SIGMA[0]
 
 
+@pytest.mark.parametrize("rows", [60, 300])
+def test_outliers_are_no_noise_that_lasts(rows):
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        worse = np.where(rng.random((20, rows, 1)) < 0.02, 10.0, 1.0)
+        rests = SIGMA[0] * worse * rng.standard_normal((20, rows, 2))
+        assert lasting_noise(list(rests), float(SIGMA[0]), 1e-4) == (pytest.approx(SIGMA[0]), NONE_LASTS)
+
+
 @pytest.mark.parametrize("memory", [10.0, 25.0])
 def test_noise_that_lasts_is_not_taken_for_the_little_that_neighbouring_rows_differ(memory):
     found = sensor_noise(pushed_block(memory))

@@ -34,6 +34,7 @@ def test_a_seed_that_no_file_could_record(pushes: PushDataset, call: str, seed: 
         ([None], "must be names or objects of a class of Effect, got None"),
         (["tabletilt"], "unknown effect 'tabletilt'; did you mean table_tilt"),
         (["tether", "tether"], "effect tether is given twice"),
+        (None, "effects must be a list of names or effects, got None"),
     ],
 )
 def test_effects_are_taken_alike(

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import drawn_ends
+from slipmap.models.inference.prediction import drawn_ends, predicted_motion
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import Noise
 from slipmap.models.measurements.simulated import record_pushes
@@ -50,6 +51,12 @@ def test_the_noise_of_the_fingers_track_widens_where_a_tapped_object_may_stop():
             spread[name, jitter] = np.median(ends[..., 1].std(axis=0))
     assert spread["taps", 1e-4] > 2e-4 > 10 * spread["taps", 0.0]
     assert spread["slow", 1e-4] < 3e-5
+    middle = predicted_motion(belief, observations)
+    for b, motion in enumerate(middle):
+        assert ends[:, b].mean(axis=0) == pytest.approx(motion.middle_poses[-1], abs=2e-5)
+    # Opposites are neighbours, so that few hypotheses see both.
+    first, opposite = (np.concatenate([o.tips[i] - o.push.tip for o in observations]) for i in (0, 1))
+    assert np.std(first + opposite) < 0.7 * np.std(first - opposite)
     few = replace(belief, maps=belief.maps[:3], probability=np.full(3, 1 / 3))
     assert drawn_ends(few, observations, sensor_noise(dataset)).shape == (3, 4, 3)
 

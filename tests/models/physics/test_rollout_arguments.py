@@ -254,9 +254,10 @@ def test_what_is_no_push_is_refused_by_its_number() -> None:
 
 
 def test_effects_are_taken_by_name() -> None:
-    assert [effect.name for effect in Slider(GRID, FINGER_RADIUS, effects=["table_tilt"]).effects] == [
-        "table_tilt"
-    ]
+    for given in (["table_tilt"], (name for name in ["table_tilt"])):
+        assert [effect.name for effect in Slider(GRID, FINGER_RADIUS, effects=given).effects] == [
+            "table_tilt"
+        ]
     with pytest.raises(EffectError, match="effect table_tilt is given twice"):
         Slider(GRID, FINGER_RADIUS, effects=["table_tilt", "table_tilt"])
 
