@@ -14,25 +14,33 @@ SLANTED = [[0, 0.8, -0.6, 0.72], [1, 0, 0, 0], [0, -0.6, -0.8, 0.96], [0, 0, 0, 
 Box = tuple[float, float, float, float, float]  # x0, y0, x1, y1, height, object frame, m
 
 
+@cache
+def _rays(view: View) -> np.ndarray:
+    return view.rays.astype(float)
+
+
+@cache
+def _empty_table(view: View, radius: float) -> np.ndarray:
+    depth = -view.p_WC[2] / _rays(view)[..., 2]
+    ground = view.p_WC + depth[..., None] * _rays(view)
+    depth[np.hypot(ground[..., 0], ground[..., 1]) > radius] = np.inf
+    return depth
+
+
 class Scene:
     """Depth pictures of an object made of boxes, at a pose on a table at z = 0."""
 
     def __init__(self, X_WC: Sequence[Sequence[float]] = ABOVE) -> None:
         self.view = View(PinholeCamera(640, 480, 492.0, 492.0, 319.5, 239.5), np.array(X_WC))
-        self.rays = self.view.rays.astype(float)
 
-    @cache  # noqa: B019, the scenes live as long as the tests
-    def table(self, radius: float) -> np.ndarray:
-        """The empty table."""
-        start = self.view.p_WC
-        depth = -start[2] / self.rays[..., 2]
-        ground = start + depth[..., None] * self.rays
-        depth[np.hypot(ground[..., 0], ground[..., 1]) > radius] = np.inf
-        return depth
+    @property
+    def rays(self) -> np.ndarray:
+        """Directions of the pixels."""
+        return _rays(self.view)
 
     def depth(self, boxes: Sequence[Box], pose: Sequence[float], table_radius: float = 0.5) -> np.ndarray:
         rays, start = self.rays, self.view.p_WC
-        depth = self.table(table_radius).copy()
+        depth = _empty_table(self.view, table_radius).copy()
         c, s = np.cos(pose[2]), np.sin(pose[2])
         R_OW = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         p_WO = np.array([pose[0], pose[1], 0])
