@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter1d
 
-from slipmap.models.inference.lasting_noise import NONE_LASTS, Lasting, lasting_noise, rests_of
 from slipmap.models.inference.observations import Observation
 from slipmap.models.measurements import PushDataset
-from slipmap.models.measurements.motion import rounding_noise
+from slipmap.models.measurements.lasting_noise import NONE_LASTS, Lasting, noise_of_poses
+from slipmap.models.measurements.motion import white_noise
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -29,10 +28,6 @@ MEMORY = 0.03
 
 FORCE_MEMORY = 0.3
 """Correlation time of the force error, s."""
-
-_ENOUGH = 30
-"""Fewest poses of a push from which noise is estimated. In simulated pushes of so many it comes out up to
-50 % too large, in pushes of ten three times too large, because motion between poses is taken for noise."""
 
 
 @dataclass(frozen=True)
@@ -109,32 +104,13 @@ def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
 def sensor_noise(dataset: PushDataset) -> SensorNoise:
     """Noise of pose and force rows: as declared, otherwise from the scatter of neighbouring rows, their
     rounding, and the scatter of poses while the object rests."""
-    declared = dataset.noise
-    position, angle, force = declared.position, declared.angle, declared.force
-    known, assumed = position is not None and angle is not None, False
-    of_position = of_angle = NONE_LASTS
-    if position is None or angle is None:
-        dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) >= _ENOUGH]
-        assumed = not dense
-        typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
-        typical = np.maximum(typical, rounding_noise([channel.values for channel in dense]))
-        rests = [rest for trial in dataset.trials for rest in rests_of(dataset, trial)]
-        # A sensor that repeats rows appears to have no noise.
-        if position is None:
-            white = float(np.hypot(typical[0], typical[1]) / np.sqrt(2.0))
-            position, of_position = lasting_noise([rest[:, :2] for rest in rests], white, 1e-4)
-        if angle is None:
-            angle, of_angle = lasting_noise([rest[:, 2:] for rest in rests], float(typical[2]), 1e-3)
+    declared, poses = dataset.noise, noise_of_poses(dataset, dataset.trials)
+    force = declared.force
     if force is None:
         wrenches = [trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None]
-        found = [_white(channel.values[:, :2]).mean() for channel in wrenches if len(channel.time) > 5]
+        found = [white_noise(channel.values[:, :2]).mean() for channel in wrenches if len(channel.time) > 5]
         force = max(float(np.median(found)), 0.02) if found else 0.1
-    return SensorNoise(position, angle, force, known, assumed, of_position, of_angle)
-
-
-def _white(values: FloatArray) -> FloatArray:
-    """Standard deviation of white noise in each column, from the median of second differences: these have six
-    times the variance of white noise, and the median rejects real acceleration."""
-    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
-    smooth = uniform_filter1d(second, 5, axis=0)
-    return np.median(np.abs(second - smooth), axis=0) / 0.6745 / np.sqrt(6.0 * 0.8)
+    known = declared.position is not None and declared.angle is not None
+    return SensorNoise(
+        poses.position, poses.angle, force, known, poses.assumed, poses.lasting_position, poses.lasting_angle
+    )

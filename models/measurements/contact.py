@@ -4,21 +4,19 @@ pushes, its common cause, and the angle of the force to the contact normal."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
+from slipmap.models.measurements.lasting_noise import NONE_LASTS, PoseNoise, noise_of_poses
 from slipmap.models.measurements.motion import pose_scatter
-from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
+from slipmap.models.measurements.push_dataset import Channel, Setup, Trial, gaps
 from slipmap.models.physics.cell_grid import FloatArray
-
-if TYPE_CHECKING:
-    from slipmap.models.physics.rollout import Slider
 
 CALIBRATION_ERROR = 3e-3  # m; good laboratories reach 2 mm
 
@@ -48,18 +46,6 @@ _SOME_WRONG = 0.2  # share of rows beyond that angle, if some other frame makes
 _WOULD_FIT = 0.85  # of the rows fit; beyond half of the rows it is reported anyway
 
 
-def gaps(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:
-    """(k,) gap between the finger at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
-    return signed_distance(setup, tips, poses) - setup.finger_radius
-
-
-def signed_distance(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:
-    """(k,) distance of world points (k, 2) to the object's rim, negative inside, m."""
-    points = shapely.points(seen_from(tips, np.broadcast_to(poses, (len(tips), 3))))
-    rim = shapely.distance(setup.grid.polygon.boundary, points)
-    return np.where(shapely.contains(setup.grid.polygon, points), -rim, rim)
-
-
 @dataclass(frozen=True, eq=False)
 class ContactRows:
     """A trial at times for which both finger and object are known.
@@ -71,6 +57,7 @@ class ContactRows:
         poses: (k, 3) object.
         pressed: (k,) whether the object moves, so that the finger must touch it unless it coasts.
         gap: (k,) gap between them, m, negative inside.
+        noise: of the poses.
         allowed: depth that calibration and the noise of poses and finger allow, m.
     """
 
@@ -80,6 +67,7 @@ class ContactRows:
     poses: FloatArray
     pressed: NDArray[np.bool_]
     gap: FloatArray
+    noise: PoseNoise
     allowed: float
 
     @property
@@ -101,20 +89,23 @@ class ContactRows:
         """Some of the rows."""
         return ContactRows(
             self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows],
-            self.gap[rows], self.allowed,
+            self.gap[rows], self.noise, self.allowed,
         )  # fmt: skip
 
 
-def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
-    """The finger's rows with poses interpolated at their times; None without a finger.
+def contact_rows(setup: Setup, trials: Sequence[Trial]) -> list[ContactRows]:
+    """The finger's rows with poses interpolated at their times, of each trial that has a finger.
 
     Where only the ends are known, these two rows.
     """
-    if not trial.has_finger:
-        return None
+    usual = noise_of_poses(setup, trials)
+    return [_contact_rows(setup, trial, usual) for trial in trials if trial.has_finger]
+
+
+def _contact_rows(setup: Setup, trial: Trial, usual: PoseNoise) -> ContactRows:
     pose, tip = trial.object_pose, trial.tip_pose
     begin, end = pose.time[[0, -1]]
-    noise, _ = pose_noise(setup, trial.object_pose)
+    noise = _noise_of_track(setup, pose, usual)
     if trial.ends_only:
         time = np.array([begin, end])
     else:
@@ -125,30 +116,33 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         time = time[np.unique(np.linspace(0, len(time) - 1, _MOST_ROWS).astype(int))]
         after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
         step = pose.time[after] - pose.time[after - 1]
+        kink = _LARGEST_KINK + 3.0 * noise.of_changes(1)[0]
         known = (step <= _GAP_ROWS * np.median(np.diff(pose.time))) | np.isin(time, pose.time)
-        time = time[known & (_kinks(setup, pose, time, after) <= _LARGEST_KINK + 3.0 * noise)]
+        time = time[known & (_kinks(setup, pose, time, after) <= kink)]
     tips, poses = tip.at(time), pose.at(time)
     if trial.ends_only:  # the finger mostly stops where it pushed the object to
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
-        pressed = _moving(setup, trial, time)
-    allowed = CALIBRATION_ERROR + 3.0 * float(np.hypot(noise, setup.noise.tip or 0.0))
-    return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses), allowed)
+        pressed = _moving(setup, pose, time, noise)
+    allowed = CALIBRATION_ERROR + 3.0 * float(np.hypot(noise.position, setup.noise.tip or 0.0))
+    return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses), noise, allowed)
 
 
-def pose_noise(setup: Setup, pose: Channel) -> tuple[float, float]:
-    """Standard deviations of a pose's x or y, m, and of its angle, rad: declared, or from the scatter of
-    neighbouring rows and their rounding."""
-    noise = setup.noise
+def _noise_of_track(setup: Setup, pose: Channel, usual: PoseNoise) -> PoseNoise:
+    """Noise of the poses of one push: declared, or as usual where it lasts; otherwise from the scatter of
+    neighbouring rows of this push and their rounding."""
     scatter = np.zeros(3)
-    if len(pose.time) > 2 and None in (noise.position, noise.angle):
+    if len(pose.time) > 2 and None in (setup.noise.position, setup.noise.angle):
         scatter = pose_scatter(pose.time, pose.values)
-    position = min(float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0), _LARGEST_NOISE)
-    angle = min(float(scatter[2]), _LARGEST_TURN)
-    return (
-        position if noise.position is None else noise.position,
-        angle if noise.angle is None else noise.angle,
-    )
+    position, angle = usual.position, usual.angle
+    if setup.noise.position is None:
+        lasts = usual.lasting_position != NONE_LASTS
+        white = float(np.hypot(scatter[0], scatter[1])) / np.sqrt(2.0)
+        position = min(position if lasts else white, _LARGEST_NOISE)
+    if setup.noise.angle is None:
+        lasts = usual.lasting_angle != NONE_LASTS
+        angle = min(angle if lasts else float(scatter[2]), _LARGEST_TURN)
+    return replace(usual, position=position, angle=angle)
 
 
 def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:
@@ -175,20 +169,17 @@ def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_
     return np.asarray(np.maximum(bent, np.maximum(starts, stops)))
 
 
-def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
-    pose = trial.object_pose
+def _moving(setup: Setup, pose: Channel, time: FloatArray, noise: PoseNoise) -> NDArray[np.bool_]:
     window = max(_WINDOW, 2.0 * float(np.median(np.diff(pose.time))))
     late = np.minimum(time + 0.5 * window, pose.time[-1])
     early = np.maximum(time - 0.5 * window, pose.time[0])
     step = pose.at(late) - pose.at(early)
     reach = 0.5 * setup.reach
     moved = np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])
-    position, angle = pose_noise(setup, pose)
-    noise = float(np.hypot(position, reach * angle))
+    position, angle = noise.of_changes(window / float(np.median(np.diff(pose.time))))
+    least = 4.0 * float(np.hypot(position, reach * angle))
     speed = moved / np.maximum(late - early, 1e-9)
-    return np.asarray(
-        (speed > max(_SLOWEST, _MOVING * float(np.percentile(speed, 90)))) & (moved > 4.0 * noise)
-    )
+    return np.asarray((speed > max(_SLOWEST, _MOVING * float(np.percentile(speed, 90)))) & (moved > least))
 
 
 # The common cause of all pushes.

@@ -131,7 +131,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         >>> check.wrong, check.coverage.pushes
         (False, 10)
     """
-    rows = [one for trial in dataset.trials if (one := contact_rows(dataset, trial)) is not None]
+    rows = contact_rows(dataset, dataset.trials)
     findings = [
         *_rates(dataset),
         *_rows_left_out(dataset),

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import solveh_banded
+from scipy.ndimage import uniform_filter1d
 
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -213,6 +214,14 @@ def row_noise(time: FloatArray, values: FloatArray) -> FloatArray:
     distance = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
     spread = _robust_spread(distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
     return np.maximum(spread, _RESOLUTION)
+
+
+def white_noise(values: FloatArray) -> FloatArray:
+    """Standard deviation of white noise in each column, from the median of second differences: these have six
+    times the variance of white noise, and the median rejects real acceleration."""
+    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    smooth = uniform_filter1d(second, 5, axis=0)
+    return np.median(np.abs(second - smooth), axis=0) / 0.6745 / np.sqrt(6.0 * 0.8)
 
 
 def rounding_noise(tracks: Sequence[FloatArray]) -> FloatArray:

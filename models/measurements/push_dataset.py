@@ -11,15 +11,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
 
+from slipmap.models.geometry import seen_from
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import check_choice, check_kind, check_not_negative, check_positive
+
+if TYPE_CHECKING:
+    from slipmap.models.physics.rollout import Slider
 
 Role = Literal["fit", "heldout"]
 
@@ -476,6 +480,13 @@ class PushDataset(Setup):
 def check_dataset_given(dataset: object) -> None:
     """Raise TypeError for something other than a dataset, such as the path of one."""
     check_kind("dataset", dataset, PushDataset, "such as slipmap.read_dataset returns")
+
+
+def gaps(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:
+    """(k,) gap between the finger at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
+    points = shapely.points(seen_from(tips, np.broadcast_to(poses, (len(tips), 3))))
+    rim = shapely.distance(setup.grid.polygon.boundary, points)
+    return np.where(shapely.contains(setup.grid.polygon, points), -rim, rim) - setup.finger_radius
 
 
 def pose_times(trial: Trial) -> FloatArray:

@@ -22,9 +22,16 @@ from slipmap.models.measurements.contact import (
     common_cause,
     contact_rows,
     force_complaint,
+)
+from slipmap.models.measurements.push_dataset import (
+    CHANNELS,
+    Channel,
+    DatasetError,
+    Role,
+    Setup,
+    Trial,
     gaps,
 )
-from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, Role, Setup, Trial
 from slipmap.models.measurements.sessions import carried_text, carries
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -150,12 +157,9 @@ def check_trials(
     for trial in chosen:
         for fault in _faults(setup, trial, where):
             found.setdefault(fault, []).append(trial.name)
-    seen = []
-    for trial in chosen:
-        # A frozen tracker or degrees for rad are reported already; do not report their consequences.
-        if not _stands_still(setup, trial) and not _degrees(trial.object_pose, ""):
-            rows = contact_rows(setup, trial)
-            seen += [rows] if rows is not None else []
+    # A frozen tracker or degrees for rad are reported already; do not report their consequences.
+    sound = [one for one in chosen if not _stands_still(setup, one) and not _degrees(one.object_pose, "")]
+    seen = contact_rows(setup, sound)
     odd, told, frame_wrong = _judged(setup, chosen, seen, where, lambda trial: bool(keep(trial)))
     complaint = None if frame_wrong else force_complaint(setup, seen)
     if complaint is not None:
@@ -170,8 +174,7 @@ def check_trials(
 
 def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
     """Whether the measured force points where no finger friction allows, on most rows of these trials."""
-    seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
-    return force_complaint(setup, seen) is not None
+    return force_complaint(setup, contact_rows(setup, trials)) is not None
 
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
@@ -181,7 +184,7 @@ def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
     The finger then goes into the object in at least half of the pushes, and would not if this were corrected.
     No effect explains this.
     """
-    seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
+    seen = contact_rows(setup, trials)
     deep = [rows for rows in seen if _too_deep(rows)]
     cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
     if cause is None or cause.kind not in FRAME_WRONG:

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 
 from slipmap.models.geometry import rotated, seen_from
-from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows, gaps, pose_noise
-from slipmap.models.measurements.push_dataset import PushDataset, Trial
+from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
+from slipmap.models.measurements.push_dataset import PushDataset, Trial, gaps
 from slipmap.models.physics.cell_grid import FloatArray
 
 _ARCS = 8  # equal parts of the outline's length
@@ -65,6 +65,7 @@ def coverage_of(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
             local = seen_from(one.tips[telling], one.poses[telling])
             along = shapely.line_locate_point(boundary, shapely.points(local), normalized=True)
             arcs |= set(np.minimum(_ARCS - 1, (_ARCS * along).astype(int)).tolist())
+    noise = {one.trial.name: one.noise.position for one in rows}
     on_table: set[int] = set()
     on_object: set[int] = set()
     speeds, turns, places, coasting, moved = [], [], [], 0, 0
@@ -81,7 +82,7 @@ def coverage_of(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
         on_object.add(_octant(rotated(way, -pose.values[0, 2])))
         if not trial.ends_only:
             speeds.append(fast_speed(trial))
-            coasting += _coasted(dataset, trial)
+            coasting += _coasted(dataset, trial, noise.get(trial.name))
     place = np.array(places).reshape(-1, 2)
     spread = float(np.max(np.hypot(*np.ptp(place, axis=0)), initial=0.0)) if len(place) else 0.0
     return Coverage(
@@ -105,11 +106,15 @@ def _octant(way: FloatArray) -> int:
     return int(np.floor((np.arctan2(way[1], way[0]) % (2.0 * np.pi)) / (2.0 * np.pi) * _OCTANTS)) % _OCTANTS
 
 
-def _coasted(dataset: PushDataset, trial: Trial) -> bool:
-    """Whether the object slides freely: from its first row on, or after the finger has left it."""
+def _coasted(dataset: PushDataset, trial: Trial, noise: float | None) -> bool:
+    """Whether the object slides freely: from its first row on, or after the finger has left it.
+
+    Args:
+        noise: standard deviation of a position, m; None without a finger.
+    """
     if trial.initial_velocity().any():
         return True
-    if not trial.has_finger:
+    if noise is None:
         return False
     pose = trial.object_pose
     free = gaps(dataset, trial.tip_pose.at(pose.time), pose.values) > _AWAY
@@ -121,7 +126,7 @@ def _coasted(dataset: PushDataset, trial: Trial) -> bool:
     first, last = edges[::2], edges[1::2] - 1  # of each time without the finger
     way = np.hypot(*(pose.values[last, :2] - pose.values[first, :2]).T)
     # Noise of a resting object is no way, however long it lasts.
-    return bool(way[way > max(_AWAY, _STILL * pose_noise(dataset, pose)[0])].sum() > _COASTS)
+    return bool(way[way > max(_AWAY, _STILL * noise)].sum() > _COASTS)
 
 
 def quantities_shown(seen: Coverage) -> list[Told]:

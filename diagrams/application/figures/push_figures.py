@@ -18,8 +18,8 @@ from slipmap.models.geometry import placed, radius_of_gyration
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
-from slipmap.models.measurements.contact import CALIBRATION_ERROR, gaps
-from slipmap.models.measurements.push_dataset import check_dataset_given
+from slipmap.models.measurements.contact import CALIBRATION_ERROR
+from slipmap.models.measurements.push_dataset import check_dataset_given, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 MODEL_COLOURS = (BELIEF, OTHER)  # colours of one model, or of two over the same pushes

@@ -59,7 +59,7 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedFit:
     """A model with effects that the locked pushes have judged."""
 
     fit: JointFit

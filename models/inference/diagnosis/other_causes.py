@@ -79,7 +79,7 @@ def _wrong_size(effects: Sequence[str], dataset: PushDataset) -> tuple[str, str]
     named = _named(effects, _LIKE_A_WRONG_SIZE)
     if not named:
         return None
-    rows = [one for trial in dataset.trials if (one := contact_rows(dataset, trial)) is not None]
+    rows = contact_rows(dataset, dataset.trials)
     cause = common_cause(dataset, rows, len(rows))
     if cause is None or cause.kind != "radius":
         return None

@@ -33,7 +33,7 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
-from slipmap.models.inference.diagnosis.judged_together import Ground, Judged
+from slipmap.models.inference.diagnosis.judged_together import Ground, JudgedFit
 from slipmap.models.inference.diagnosis.locked import LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.other_causes import doubts_of_check
 from slipmap.models.inference.diagnosis.results import (
@@ -245,7 +245,7 @@ class _Inquiry:
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
         self.fits: dict[str, JointFit] = {}  # of single effects, by name
         self.starts: dict[str, FloatArray] = {}  # their parameters to start from
-        self.judged: dict[str, Judged] = {}  # those that the locked pushes have judged
+        self.judged: dict[str, JudgedFit] = {}  # those that the locked pushes have judged
 
     def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
@@ -268,7 +268,7 @@ class _Inquiry:
         ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
-        judged: list[Judged] = []
+        judged: list[JudgedFit] = []
         for step, name in enumerate(asked):
             try:
                 judged.append(self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked))))
@@ -421,7 +421,7 @@ class _Inquiry:
         nulls = np.concatenate([effect.nulls for effect in fit.effects])
         return np.where(self._shared(fit.effects), fit.values(0), nulls)
 
-    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> Judged:
+    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> JudgedFit:
         """Errors on the locked pushes, with every object's maps refitted and the effects held.
 
         Effects are looked for under the α of the model without them; judged and reported is the refined fit.
@@ -437,9 +437,9 @@ class _Inquiry:
             after.append(None if now is None else now[0])
             falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
             held.append(prior.maps(z[None]))
-        return Judged(fit, after, falls, held, evidence + sum(falls))
+        return JudgedFit(fit, after, falls, held, evidence + sum(falls))
 
-    def _objection(self, one: Judged) -> str:
+    def _objection(self, one: JudgedFit) -> str:
         """Why the locked pushes or its interval speak against a model with effects."""
         if all(errors is None for errors in one.after):
             nothing = f"no pushes were locked away that could judge {one.pronoun}"
@@ -457,7 +457,7 @@ class _Inquiry:
         own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
         return f"{own} includes the value without the effect"
 
-    def _there(self, one: Judged) -> bool:
+    def _there(self, one: JudgedFit) -> bool:
         """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is
         not shared."""
         estimates = {(e.effect, e.name): e for e in self._estimates(one)}
@@ -468,7 +468,7 @@ class _Inquiry:
 
         return all(stands(effect) for effect in one.fit.effects if is_shared(effect, self.apart))
 
-    def _estimates(self, one: Judged) -> tuple[ParameterEstimate, ...]:
+    def _estimates(self, one: JudgedFit) -> tuple[ParameterEstimate, ...]:
         """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
         values, deviations = one.fit.values(0), one.fit.deviations(0)
         shared = self._shared(one.fit.effects)
@@ -480,7 +480,7 @@ class _Inquiry:
         every = _intervals(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
 
-    def _by_dataset(self, best: Judged | None) -> tuple[DatasetResult, ...]:
+    def _by_dataset(self, best: JudgedFit | None) -> tuple[DatasetResult, ...]:
         """Each dataset with and without the effects of a model."""
         results = []
         for k, ground in enumerate(self.grounds):
@@ -503,7 +503,7 @@ class _Inquiry:
         return tuple(results)
 
     def _answer(
-        self, kept: Sequence[Judged], judged: Sequence[Judged], candidates: tuple[JointCandidate, ...]
+        self, kept: Sequence[JudgedFit], judged: Sequence[JudgedFit], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
         names = tuple(one.name for one in kept)
         best = kept[0] if kept else None

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.measurements.contact import gaps
 from slipmap.models.measurements.motion import row_noise
-from slipmap.models.measurements.push_dataset import Channel, Setup
+from slipmap.models.measurements.push_dataset import Channel, Setup, gaps
 from slipmap.models.physics.cell_grid import FloatArray
 
 _SURE = 2.0  # standard errors

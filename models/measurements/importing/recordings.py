@@ -503,8 +503,7 @@ def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
 
 def _turned(trial: Trial, said: ImportSetup) -> tuple[Trial, str]:
     """The trial with its force rotated so that on the whole it points along the contact normal."""
-    rows = contact_rows(said.setup, trial)
-    normal, force, _ = normals_and_forces(said.setup, [rows] if rows is not None else [])
+    normal, force, _ = normals_and_forces(said.setup, contact_rows(said.setup, [trial]))
     if len(force) < 10:
         raise DatasetError(f"{trial.name}: too few rows with force in contact to rotate ft_wrench by")
     angle = -middle_angle(angle_between(force, normal))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.error_model import (
     MEMORY,
     ErrorModel,
@@ -13,7 +14,9 @@ from slipmap.models.inference.error_model import (
     travelled,
 )
 from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import drawn_ends
 from slipmap.models.measurements import Channel, Noise
+from slipmap.models.measurements.lasting_noise import Lasting
 
 NOISE = SensorNoise(2e-4, 2e-3, 0.1, True)
 
@@ -95,3 +98,16 @@ def thinned(dataset, rows):
 
     trials = tuple(replace(trial, object_pose=fewer(trial.object_pose)) for trial in dataset.trials)
     return replace(dataset, noise=Noise(), trials=trials)
+
+
+def test_starts_are_drawn_as_wide_as_a_mean_of_lasting_rows_is(recorded):
+    observations = observe_all(recorded.dataset)[:1]
+    assert observations[0].start_rows > 10
+    noise = sensor_noise(recorded.dataset)
+    lasting = replace(noise, lasting_position=Lasting(1.0, 1e4), lasting_angle=Lasting(1.0, 1e4))
+    sure = Belief.learned(
+        recorded.dataset, recorded.slider, recorded.truth[np.zeros(20, dtype=int)], np.full(20, 0.05),
+        method="", seed=0, trials=[], settings={},
+    )  # fmt: skip
+    far, near = (drawn_ends(sure, observations, one).std(axis=0) for one in (lasting, noise))
+    assert (far > 2.0 * near).all()

@@ -248,7 +248,7 @@ def test_the_first_pose_is_compared_whatever_follows(tmp_path):
     dataset = reread(tmp_path, straight_pushes(), jerked)
     assert len(dataset.trials) == 12
     for trial in dataset.trials:
-        assert contact_rows(dataset, trial).time[0] == trial.object_pose.time[0]
+        assert contact_rows(dataset, [trial])[0].time[0] == trial.object_pose.time[0]
 
 
 def test_one_push_that_seems_deep_is_not_left_out_if_few_others_can_be_judged(tmp_path):

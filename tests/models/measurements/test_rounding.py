@@ -1,10 +1,12 @@
 """Steps of rounded poses are found, and count as noise; even motion and fine rounding do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from straight_pushes import straight_pushes
 
-from slipmap.models.measurements.contact import pose_noise
+from slipmap.models.measurements.contact import contact_rows
 from slipmap.models.measurements.motion import rounding_noise, rounding_steps
 from slipmap.models.measurements.push_dataset import Channel
 
@@ -53,5 +55,7 @@ def test_rounding_is_noise():
     step = np.array([1e-3, 1e-3, 0.02])
     poses = rounded(tracks()[0], step)
     np.testing.assert_allclose(rounding_noise([poses]), step / np.sqrt(12.0), rtol=1e-3)
-    position, angle = pose_noise(straight_pushes(1), Channel(TIME, poses))
-    assert position >= 0.99 * step[0] / np.sqrt(12.0) and angle >= 0.99 * step[2] / np.sqrt(12.0)
+    dataset = straight_pushes(1)
+    (rows,) = contact_rows(dataset, [replace(dataset.trials[0], object_pose=Channel(TIME, poses))])
+    assert rows.noise.position >= 0.99 * step[0] / np.sqrt(12.0)
+    assert rows.noise.angle >= 0.99 * step[2] / np.sqrt(12.0)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.lasting_noise import NONE_LASTS, Lasting, lasting_noise, rests_of
-from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import drawn_ends
 from slipmap.models.measurements import Channel, Noise, PushDataset, Trial
+from slipmap.models.measurements.contact import contact_rows
+from slipmap.models.measurements.dataset_check import check_dataset
+from slipmap.models.measurements.lasting_noise import NONE_LASTS, Lasting, lasting_noise, rests_of
+from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.objects import cells_from_polygon
 
 SIGMA = np.array([2.5e-4, 2.5e-4, 2.6e-3])
@@ -25,22 +25,32 @@ def drifting(rng: np.random.Generator, rows: int, memory: float) -> np.ndarray:
     return noise
 
 
-def pushed_block(memory: float, *, creep: float = 0.0, count: int = 20, seed: int = 0) -> PushDataset:
+def pushed_block(
+    memory: float,
+    *,
+    creep: float = 0.0,
+    count: int = 20,
+    seed: int = 0,
+    scale: float = 1.0,
+    speed: float = 0.05,
+) -> PushDataset:
     """Pushes of a block as an undeclared tracker sees them: 0.4 s of rest, 1 s of motion, 0.6 s of rest.
 
     Args:
         memory: of the tracker's noise, rows of 10 ms; 0 for white noise.
         creep: m by which the block creeps before every third push.
+        scale: multiple of the usual noise.
+        speed: of the finger, which touches the block after 0.4 s, m/s.
     """
     grid = cells_from_polygon([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
     rng = np.random.default_rng(seed)
     t = np.arange(200) * 0.01
     trials = []
     for index in range(count):
-        finger = np.clip(0.05 * (t - 0.2), 0.0, 0.06) - 0.06 - 0.01
+        finger = np.clip(speed * (t - 0.4) + 0.01, 0.0, 0.06) - 0.06 - 0.01
         moved = np.maximum(finger + 0.06, 0.0) + creep * (index % 3 == 0) * np.minimum(t / 0.4, 1.0)
         finger = np.where(t > 1.5, finger[150] - 0.05 * (t - 1.5), finger)
-        pose = np.column_stack([moved, 0 * t, 0 * t]) + SIGMA * drifting(rng, len(t), memory)
+        pose = np.column_stack([moved, 0 * t, 0 * t]) + scale * SIGMA * drifting(rng, len(t), memory)
         tip = np.column_stack([finger, 0 * t])
         trials.append(Trial(f"{index:03d}", "fit", Channel(t, pose), Channel(t, tip), None))
     return PushDataset(
@@ -112,14 +122,26 @@ def test_independent_rows_follow_the_variance_of_a_mean():
     assert Lasting(share, memory).independent(1) == pytest.approx(1.0)
 
 
-def test_starts_are_drawn_as_wide_as_a_mean_of_lasting_rows_is(recorded):
-    observations = observe_all(recorded.dataset)[:1]
-    assert observations[0].start_rows > 10
-    noise = sensor_noise(recorded.dataset)
-    lasting = replace(noise, lasting_position=Lasting(1.0, 1e4), lasting_angle=Lasting(1.0, 1e4))
-    sure = Belief.learned(
-        recorded.dataset, recorded.slider, recorded.truth[np.zeros(20, dtype=int)], np.full(20, 0.05),
-        method="", seed=0, trials=[], settings={},
-    )  # fmt: skip
-    far, near = (drawn_ends(sure, observations, one).std(axis=0) for one in (lasting, noise))
-    assert (far > 2.0 * near).all()
+@pytest.mark.parametrize("memory", [0.0, 25.0])
+def test_checks_allow_for_noise_that_lasts_as_for_white_noise(memory):
+    dataset = pushed_block(memory, scale=8.0)
+    rows = contact_rows(dataset, dataset.trials)
+    assert [one.noise.position for one in rows] == pytest.approx([8.0 * SIGMA[0]] * 20, rel=0.4)
+    assert all(one.allowed > 3e-3 + 2.0 * 8.0 * SIGMA[0] for one in rows)
+    # The block rests at first, whatever its noise does.
+    assert np.mean([one.pressed[one.time < 0.3].mean() for one in rows]) < 0.1
+    kept, warnings = check_trials(dataset, dataset.trials, "here")
+    assert len(kept) == 20 and warnings == []
+
+
+def test_noise_that_lasts_is_no_way_that_an_object_coasts():
+    dataset = pushed_block(25.0, scale=4.0)
+    assert check_dataset(dataset).coverage.coasting == 0
+
+
+def test_slow_pushes_touch_all_the_same():
+    """Rows 0.1 s apart have most of such noise in common, so that 1 mm of motion between them shows."""
+    dataset = pushed_block(25.0, scale=1.4, speed=0.01)
+    rows = contact_rows(dataset, dataset.trials)
+    assert 4.0 * rows[0].noise.position > 1e-3
+    assert np.mean([one.pressed[(one.time > 0.6) & (one.time < 1.3)].mean() for one in rows]) > 0.8
