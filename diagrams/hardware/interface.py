@@ -23,7 +23,7 @@ from slipmap.diagrams.hardware.command_stream import CommandStream
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import IIWA_OUTPUTS, lone_arm
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, check_scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 PATIENCE = 10.0  # time that the cell has to send its first messages, s
@@ -44,6 +44,7 @@ class HeardCell(PythonDiagram):
 
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
+        check_scenario(scenario)
         builder = DiagramBuilder()
         self.checked = checked_messages.add_checked(
             builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock}

@@ -20,7 +20,7 @@ from slipmap.diagrams.hardware.guard import CommandGuard
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.perception.cell_perception import FRAMES, CellPerception
 from slipmap.diagrams.station.arm import HOME, arm_model
-from slipmap.diagrams.station.scenario import Scenario, ScenarioError
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError, check_scenario
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
 from slipmap.diagrams.systems.diagnosis import Diagnosis, Repair
@@ -269,6 +269,7 @@ def add_exploration(
         ScenarioError: an object, a surface or a hidden effect that cannot be made.
         RendererUnavailable: this machine cannot render pictures.
     """
+    check_scenario(scenario)
     try:
         # Runs of one scenario with different seeds see different noise; seed 0 keeps the scenario's own.
         noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)

@@ -13,6 +13,7 @@ import typing
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -347,14 +348,34 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         if isinstance(content, dict) and isinstance(content.get(section), dict) and name in content[section]:
             del content[section][name]
             text = yaml.safe_dump(content)
-    _check(content, schema, str(path), "")
     try:
+        _check(content, schema, "")
         settings = yaml_load_typed(schema=schema, data=text, defaults=schema())
         _refuse(settings, "")
     except ValueError as error:
         said = str(error)
         raise ScenarioError(f"{path}: {said if len(said) <= 1000 else f'{said[:997]}...'}") from error
     return settings
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Refuse a scenario made or changed in Python for what would be refused in a file, in the same words.
+
+    Raises:
+        ScenarioError: an unknown field, a value of the wrong type, or one that a check refuses.
+    """
+    try:
+        _check(_content(scenario), Scenario, "")
+        _refuse(scenario, "")
+    except ValueError as error:
+        raise ScenarioError(f"scenario: {error}") from error
+
+
+def _content(value: Any) -> Any:
+    """Settings as a file holds them, with attributes that are no fields."""
+    if dataclasses.is_dataclass(value):
+        return {name: _content(part) for name, part in vars(value).items()}
+    return value
 
 
 def _shown(value: Any) -> str:
@@ -411,9 +432,9 @@ def _refuse(settings: Any, where: str) -> None:
         raise ValueError(f"{where}: {error}" if "." in where else str(error)) from error
 
 
-def _check(value: Any, wanted: Any, path: str, where: str) -> None:
+def _check(value: Any, wanted: Any, where: str) -> None:
     if dataclasses.is_dataclass(wanted):
-        _check_fields(value, wanted, path, where)
+        _check_fields(value, wanted, where)
         return
     options = typing.get_args(wanted)
     origin = typing.get_origin(wanted)
@@ -421,52 +442,49 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         if value is None and type(None) in options:
             return
         rest = [option for option in options if option is not type(None)]
-        _check(value, rest[0], path, where)
+        _check(value, rest[0], where)
         return
     if origin in (list, tuple):
-        if not isinstance(value, list):
-            raise ScenarioError(f"{path}: {where} must be a list, got {_shown(value)}")
+        if not isinstance(value, list | tuple | np.ndarray):
+            raise ValueError(f"{where} must be a list, got {_shown(value)}")
         for index, item in enumerate(value):
-            _check(item, options[0], path, f"{where}[{index}]")
+            _check(item, options[0], f"{where}[{index}]")
         return
     if origin is dict:
         if not isinstance(value, dict):
-            raise ScenarioError(f"{path}: {where} must hold names and values, got {_shown(value)}")
+            raise ValueError(f"{where} must hold names and values, got {_shown(value)}")
         for name, item in value.items():
             if not isinstance(name, str):
                 quoted = f"; write '{name}'" if isinstance(name, int) else ""
-                raise ScenarioError(f"{path}: {where}: the name {_shown(name)} must be text{quoted}")
-            _check(item, options[1], path, f"{where}.{_name(name)}")
+                raise ValueError(f"{where}: the name {_shown(name)} must be text{quoted}")
+            _check(item, options[1], f"{where}.{_name(name)}")
         return
-    kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
-    if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
+    kind: Any = {float: Real, int: Integral, str: str, bool: bool}[wanted]
+    if not isinstance(value, kind) or (isinstance(value, bool) and wanted is not bool):
         names = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
         hint = read_as_text(value) if wanted is not str else ""
-        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
+        raise ValueError(f"{where} must be {names[wanted]}, got {_shown(value)}{hint}")
     if wanted is float:
         try:
             float(value)
         except OverflowError as error:
             wrong = f"{where} must be a number that fits in double precision, got {_shown(value)}"
-            raise ScenarioError(f"{path}: {wrong}") from error
+            raise ValueError(wrong) from error
 
 
-def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
+def _check_fields(value: Any, wanted: Any, where: str) -> None:
     known = {field.name: field.type for field in dataclasses.fields(wanted)}
     if not isinstance(value, dict):
         is_name = isinstance(value, str) and len(value) <= _LONGEST and "name" in known
         hint = f"; write {where}: {{name: {value}}}" if is_name else ""
         wrong = f"{where or 'the file'} must hold fields and values, got {_shown(value)}{hint}"
-        raise ScenarioError(f"{path}: {wrong}")
+        raise ValueError(wrong)
     for name, item in value.items():
         full = f"{where}.{_name(name)}" if where else _name(name)
         if name not in known:
             near = difflib.get_close_matches(_name(name), known, n=1)
             hint = f"did you mean {near[0]}? Known" if near else "known"
-            raise ScenarioError(f"{path}: unknown field {full}; {hint} here: {', '.join(known)}")
-        _check(item, known[name], path, full)
+            raise ValueError(f"unknown field {full}; {hint} here: {', '.join(known)}")
+        _check(item, known[name], full)
     if hasattr(wanted, "check_keys"):
-        try:
-            wanted.check_keys(value.keys())
-        except ValueError as error:
-            raise ScenarioError(f"{path}: {error}") from error
+        wanted.check_keys(value.keys())

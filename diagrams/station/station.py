@@ -19,7 +19,7 @@ from slipmap.diagrams.station.arm import add_arm, add_arm_drivers
 from slipmap.diagrams.station.hidden_effects import LatePictures, add_hidden_effects
 from slipmap.diagrams.station.placement import check_placement
 from slipmap.diagrams.station.rest import Hold, RestWatch
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, check_scenario
 from slipmap.diagrams.station.sliding_object import (
     BODY,
     add_sliding_object,
@@ -62,6 +62,7 @@ class Station(PythonDiagram):
     and of the picture, s: zero in a simulation. `truth.object_pose` is X_WO.
 
     Raises:
+        ScenarioError: settings that a scenario file could not have.
         ValueError: an object or a surface that cannot be made.
         RendererUnavailable: this machine cannot render pictures.
 
@@ -74,10 +75,10 @@ class Station(PythonDiagram):
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         super().__init__()
+        check_scenario(scenario)
         builder = DiagramBuilder()
         self.true_object = scenario.object.make()
         check_placement(scenario, self.true_object)
-        scenario.hidden.check()
         plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scenario.gravity])
         add_table(plant, scenario.table.make(), scenario.table.friction)

@@ -36,7 +36,7 @@ def add_table(
         friction: friction coefficient of the table's own geometry (the object's feet compensate for it).
 
     Raises:
-        ValueError: a table without the dimension that its shape needs, or a friction that is not positive.
+        ValueError: a friction that is not positive.
     """
     if not friction > 0:
         raise ValueError(f"table: friction must be positive, got {friction}")
@@ -63,11 +63,9 @@ def add_table(
 
 def _plate(table: Table, thickness: float, inset: float = 0.0) -> Shape:
     if table.shape == "round":
-        if table.radius is None or not table.radius > inset:
-            raise ValueError(f"table: a round table needs a positive radius in m, got {table.radius}")
+        assert table.radius is not None  # see Table
         return Cylinder(table.radius - inset, thickness)
-    if table.size is None or not min(table.size) > 2 * inset:
-        raise ValueError(f"table: a rectangular table needs a positive size (x, y) in m, got {table.size}")
+    assert table.size is not None
     return Box(table.size[0] - 2 * inset, table.size[1] - 2 * inset, thickness)
 
 

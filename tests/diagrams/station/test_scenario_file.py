@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,18 @@ import trimesh
 import yaml
 from pydrake.common.yaml import yaml_dump_typed
 
-from slipmap.diagrams.loops.exploration_loop import recorded_dataset
+from slipmap.diagrams.hardware.interface import HeardCell
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop, recorded_dataset
 from slipmap.diagrams.station.placement import check_placement, check_rest
 from slipmap.diagrams.station.scenario import (
     ObjectSettings,
     Scenario,
     ScenarioError,
+    check_scenario,
     read_scenario,
     read_settings,
 )
+from slipmap.diagrams.station.station import Station
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel
 from slipmap.models.objects import cells_from_polygon
@@ -331,6 +335,47 @@ def test_an_objects_file_is_looked_for_beside_the_scenario_first(tmp_path, monke
     for place in (here, beside):
         place.touch()
         assert getattr(read_scenario(scenario).object, field) == str(place)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gravity", 0.0),
+        ("gravity", "9.81"),
+        ("gravty", 9.81),
+        ("camera.rate", 0.0),
+        ("camera.width", 640.5),
+        ("camera.position", [0.0]),
+        ("table.shape", "square"),
+        ("table.radius", -1.0),
+        ("object.pose", None),
+        ("object.mass", 1.0),
+        ("object.masses", {"one": 1.0}),
+        ("hidden.table_tilt.down_x", float("inf")),
+        ("simulation.time_step", 1.0),
+        ("pushes.candidates", True),
+        ("repair", None),
+    ],
+)
+def test_what_a_file_must_not_say_python_must_not_either(read, name, value):
+    scenario, content = Scenario(), value
+    *parents, last = name.split(".")
+    setattr(functools.reduce(getattr, parents, scenario), last, value)
+    for part in reversed(name.split(".")):
+        content = {part: content}
+    said = refusal(read, yaml.safe_dump(content)).partition("cell.yaml: ")[2]
+    for build in (Station, lambda scenario: exploration_loop(scenario, LoopOptions()), HeardCell):
+        with pytest.raises(ScenarioError) as refused:
+            build(scenario)
+        assert str(refused.value) == f"scenario: {said}"
+
+
+def test_python_gives_numbers_and_lists_as_it_likes():
+    scenario = Scenario(gravity=9)
+    scenario.object.pose = np.zeros(3)
+    scenario.table.shape, scenario.table.size = "rectangle", (1.0, np.float32(0.8))
+    scenario.camera = dataclasses.replace(scenario.camera, width=np.int64(320))
+    check_scenario(scenario)
 
 
 def test_recorded_pushes_bear_the_objects_name(tmp_path):
