@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -48,7 +48,7 @@ _TURNING_ARM = 0.03  # m; a rotation counts like a motion so far from the axis
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
-_DRAWN_TRACKS = [0, 8, 1, 9, 2, 10, 3, 11]  # of those that `smooth_track` returns, each beside its opposite
+_DRAWN_PAIRS = 4  # of opposite tracks that the finger may have taken
 _LEAST_SCATTER = 2e-6  # m between tracks that matters
 _SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
@@ -72,13 +72,24 @@ class Observation:
     # (T,) whether a force counts: the finger moves and presses, away from its first touch and its stop, where
     # force depends on contact stiffness rather than on friction
     sliding: np.ndarray
-    # (N, len(tip), 2) tracks that the finger may have taken instead of `push.tip`; N may be 0
-    tips: FloatArray = field(default_factory=lambda: np.zeros((0, 1, 2)))
+    # times (k,) and positions (k, 2) of the finger, if it may have taken other tracks than `push.tip`
+    finger: tuple[FloatArray, FloatArray] | None = None
 
     @property
     def likely_pushes(self) -> list[Push]:
-        """The push along each track that the finger may have taken; the push alone if there is one."""
-        return [replace(self.push, tip=tip) for tip in self.tips] or [self.push]
+        """The push along each track that the finger may have taken; the push alone if there is one.
+
+        They are drawn at each call, the same ones: they take more memory than the rest of an observation.
+        """
+        if self.finger is None:
+            return [self.push]
+        time, _, likeliest = smooth_track(*self.finger, _DRAWN_PAIRS)
+        ends = np.minimum(self.push.h * np.arange(len(self.push.tip)), time[-1])
+        # Each beside its opposite.
+        paired = (
+            likeliest.reshape(2, _DRAWN_PAIRS, *likeliest.shape[1:]).swapaxes(0, 1).reshape(likeliest.shape)
+        )
+        return [replace(self.push, tip=tip) for tip in PchipInterpolator(time, paired, axis=1)(ends)]
 
     @property
     def counted(self) -> Push:
@@ -114,7 +125,8 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
-    track_time, track, likeliest = smooth_track(*finger_path(trial))
+    path = finger_path(trial)
+    track_time, track, likeliest = smooth_track(*path)
     speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
@@ -123,13 +135,11 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
-    tip, tips = np.full((steps + 1, 2), np.nan), np.zeros((0, 1, 2))
+    tip, scatters = np.full((steps + 1, 2), np.nan), False
     if len(track_time) >= _FEW_ROWS and trial.has_finger:
         # Straight lines between rows would change the speed at each row at once, and the force would ring.
         tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
-        if np.abs(likeliest - track).max() > _LEAST_SCATTER:
-            some = likeliest[_DRAWN_TRACKS]
-            tips = PchipInterpolator(track_time, some, axis=1)(np.minimum(ends, track_time[-1]))
+        scatters = bool(np.abs(likeliest - track).max() > _LEAST_SCATTER)
     elif trial.has_finger:
         tip = interpolated(ends, track_time, track)
 
@@ -151,7 +161,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     )
     return Observation(
         trial.name, trial.role, push, poses, pose_rows, start_rows, forces, force_rows,
-        _sliding(push, forces), tips,
+        _sliding(push, forces), path if scatters else None,
     )  # fmt: skip
 
 

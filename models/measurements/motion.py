@@ -17,7 +17,6 @@ from slipmap.models.physics.cell_grid import FloatArray
 _GENTLE_JERK = 10.0  # m/s³; changes of acceleration at this rate are no corners
 _FIRST_CHANGE, _ITERATIONS = 3.5, 15  # the first ε in multiples of the noise
 _OFF_TRACK = 2.5  # times the noise; rows farther off the track count linearly (Huber)
-_PAIRS = 8  # of opposite draws of noise
 _SMALLEST_NOISE = 2e-6  # m; rounding of the record is not noise
 
 _WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
@@ -41,7 +40,9 @@ _HUBER = 1.345  # residual in standard deviations above which a row counts less 
 _HUBER_ITERATIONS = 8
 
 
-def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def smooth_track(
+    time: FloatArray, track: FloatArray, pairs: int = 8
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The track of a finger whose acceleration changes rarely, but then by any amount.
 
     A robot speeds up, moves, slows down and stops, each at its own acceleration. Windows of any width either
@@ -64,6 +65,7 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     Args:
         time: (T,) increasing, s; rows may jitter in time.
         track: (T, 2) positions, m.
+        pairs: of opposite draws of noise; fewer are the first of more.
 
     Returns:
         Times (M,) at the median rate over the same span, the track there, (M, 2), and the likeliest tracks
@@ -77,7 +79,7 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
-    more = np.random.default_rng(0).standard_normal((_PAIRS, *raw.shape))
+    more = np.random.default_rng(0).standard_normal((pairs, *raw.shape))
     noisier = (raw - raw[0]) + noise * np.concatenate([more, -more])
     noise *= np.sqrt(2.0)
     least = min(_FIRST_CHANGE, _GENTLE_JERK * step**3 / noise)

@@ -71,8 +71,11 @@ def test_what_the_record_leaves_open_of_the_fingers_track_counts(
     """Tracks half a millimetre beside the recorded one, each with its opposite."""
     likelihood = left_out.likelihood
     _, before = left_out.ends()
-    aside = 5e-4 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])[:, None]
-    beside = [replace(o, tips=o.push.tip + aside) for o in likelihood.observations]
+    aside = 5e-4 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    pushes = [o.push for o in likelihood.observations]
+    beside = [
+        SimpleNamespace(push=p, likely_pushes=[replace(p, tip=p.tip + off) for off in aside]) for p in pushes
+    ]
     monkeypatch.setattr(likelihood, "observations", beside)
     _, now = left_out.ends()
     slider = likelihood.prior.slider

@@ -1,5 +1,6 @@
 """What an object's coasting tells that slow pushing does not: where its weight is."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -55,8 +56,14 @@ def test_the_noise_of_the_fingers_track_widens_where_a_tapped_object_may_stop():
     for b, motion in enumerate(middle):
         assert ends[:, b].mean(axis=0) == pytest.approx(motion.middle_poses[-1], abs=2e-5)
     # Opposites are neighbours, so that few hypotheses see both.
-    first, opposite = (np.concatenate([o.tips[i] - o.push.tip for o in observations]) for i in (0, 1))
+    first, opposite = (
+        np.concatenate([o.likely_pushes[i].tip - o.push.tip for o in observations]) for i in (0, 1)
+    )
     assert np.std(first + opposite) < 0.7 * np.std(first - opposite)
+    # They would take more memory than all the rest, so they are drawn anew, the same.
+    again = observations[0].likely_pushes
+    assert all((a.tip == b.tip).all() for a, b in zip(again, observations[0].likely_pushes, strict=True))
+    assert len(pickle.dumps(observations[0])) < sum(push.tip.nbytes for push in again)
     few = replace(belief, maps=belief.maps[:3], probability=np.full(3, 1 / 3))
     assert drawn_ends(few, observations, sensor_noise(dataset)).shape == (3, 4, 3)
 
