@@ -32,7 +32,7 @@ from slipmap.models.geometry import angle_between, placed, turn
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.results import Diagnosis, parameter_estimates
 from slipmap.models.inference.error_model import ErrorModel
-from slipmap.models.inference.fewer_cells import with_fewer_cells
+from slipmap.models.inference.identification import with_fewer_cells
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import PushDataset

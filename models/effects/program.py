@@ -35,7 +35,7 @@ class Program:
     effects: tuple[Effect, ...]  # in the order of their parameters
     # (4,) addresses of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
     addresses: NDArray[np.int64]
-    sizes: NDArray[np.int64]  # (7,) as in `slipmap.models.physics.kernel_arguments.Formulas`
+    sizes: NDArray[np.int64]  # (7,) as in `slipmap.models.physics.kernel_tools.Formulas`
     # from x, y, θ (…,) and parameters to poses (…, 3) as the tracker reports them, and their derivatives with
     # respect to the true pose (…, 3, 3) and the parameters (…, 3, P); None if no effect changes them
     measured: Report | None

@@ -108,7 +108,7 @@ def written(effect: Effect) -> Written:
     used: set[str] = set()
     for method, names, values in asked:
         expressions = [_read(sp.sympify(value)) for value in values]
-        if method == "force" and expressions[2] == _torque(effect, expressions):
+        if method == "force" and expressions[2] == _torque(expressions):
             names, expressions = names[:2], expressions[:2]
             meaning = "force on the object at its centre of mass, which gives its torque about the origin"
         elif method == "force" and expressions[2] == 0:
@@ -154,7 +154,7 @@ def _equations(effect: Effect, p: Any) -> Iterator[tuple[str, tuple[str, ...], S
         yield "remember", tuple(latex_name(name) + "^{+}" for name in memory), list(renewed)
 
 
-def _torque(effect: Effect, force: Sequence[Any]) -> Any:
+def _torque(force: Sequence[Any]) -> Any:
     """Torque about the origin of a force at the centre of mass."""
     names = written_names("body")
     return _read(names["com_x"] * force[1] - names["com_y"] * force[0])

@@ -3,7 +3,7 @@
 Every entry point uses the same estimator. `identify` learns the maps, and effects too where some are given;
 `fit` learns both with and without effects; a diagnosis judges its answer by the same two.
 
-The strict likelihood of the diagnosis finds where effects act (`effect_search`). It trusts every row of
+The strict likelihood of the diagnosis finds where effects act (`find_effects`). It trusts every row of
 force, and is confident about a total mass that a 2 % error of the force model shifts by a third; whatever is
 proportional to mass, such as a tilt, shifts with it. So the sizes of effects also come from the forgiving
 likelihood, with its prior centred where the strict one led.
@@ -14,18 +14,18 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.registry import effects_given
-from slipmap.models.inference.belief import END_ERRORS
+from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
 from slipmap.models.inference.gauss_newton import fit as fit_maps
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
@@ -44,13 +44,19 @@ from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.measurements.trial_checks import contradicted_by_contact
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps
 from slipmap.models.progress import Progress, about, silent
 from slipmap.models.settings import check_whole
 
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
 
+
 METHODS = ("gauss-newton", "paper")
+
+MOST_CELLS = 800
+"""Most cells to learn with."""
 
 
 @one_blas_thread()
@@ -104,7 +110,7 @@ def identify(
         return _by_algorithm_1(dataset, observations, hypotheses, seed, report, started)
     found: Fitted | None = None
     if added:
-        from slipmap.models.inference.diagnosis.effect_search import find_effects
+        from slipmap.models.inference.diagnosis.refits import find_effects
 
         fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
         few = with_fewer_cells(dataset)
@@ -254,3 +260,44 @@ def check_request(dataset: PushDataset, hypotheses: int, seed: int) -> None:
         raise DatasetError(
             f"dataset {dataset.name} has no push with the role fit; set the role of at least one push to fit"
         )
+
+
+# Objects of many cells.
+
+
+def with_fewer_cells(dataset: PushDataset) -> PushDataset:
+    """The dataset with square blocks of cells merged, if there are more than `MOST_CELLS` of them.
+
+    The time of a fit grows with the number of cells, but a few hundred resolve what the prior lets maps vary.
+    Unchanged where the maps are known by cell.
+    """
+    known = dataset.known
+    by_cell = known is not None and (known.mass is not None or known.friction is not None)
+    if len(dataset.grid) <= MOST_CELLS or by_cell:
+        return dataset
+    return replace(dataset, grid=_merged(dataset.grid)[0])
+
+
+def spread_out(belief: Belief, dataset: PushDataset) -> Belief:
+    """A belief about merged cells, as one about the dataset's own: those that were merged share their mass
+    evenly and their friction."""
+    if len(belief.grid) == len(dataset.grid):
+        return belief
+    place, maps = _merged(dataset.grid)[1], belief.maps
+    mass = (maps.mass / np.bincount(place))[:, place]
+    spread = Maps(mass, maps.mu[:, place], maps.mu_finger, maps.effects)
+    return replace(belief, grid=dataset.grid, maps=spread)
+
+
+@lru_cache(maxsize=16)
+def _merged(grid: CellGrid) -> tuple[CellGrid, NDArray[np.int64]]:
+    """The cells merged to at most `MOST_CELLS` blocks, and the block (n,) that each belongs to."""
+    corner = grid.centers.min(axis=0) - 0.5 * grid.width
+    side, place = 1, np.arange(len(grid))
+    while place.max() >= MOST_CELLS:
+        side *= 2
+        blocks = np.floor((grid.centers - corner) / (side * grid.width) + 1e-6)
+        place = np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
+    members = np.bincount(place)
+    centers = np.column_stack([np.bincount(place, axis) / members for axis in grid.centers.T])
+    return CellGrid(centers, side * grid.width, grid.exterior, grid.holes, members), place

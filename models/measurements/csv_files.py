@@ -60,7 +60,7 @@ class CsvColumns(NamedTuple):
         return f"expected columns are {required} and, if force was measured, {optional}"
 
 
-STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _UNITS})
+STANDARD = CsvColumns({name: name for name in _UNITS}, dict.fromkeys(_UNITS, 1.0))
 """Our own names, in s, m, rad, N and N·m."""
 
 

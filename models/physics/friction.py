@@ -51,9 +51,6 @@ FINGER_SETTLING = 0.01
 """Time constant with which a bending finger settles, s. The time step alone would damp it too, but by as much
 as the step is long."""
 
-STRETCH = 3
-"""Number of entries of a cell's Q: q_xx, q_xy, q_yy."""
-
 CONSTANTS = 11
 """Number of constants: time in the middle of the step, h, index of the push in the experiment, gravity, cell
 width, the cells' centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), their number.

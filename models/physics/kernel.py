@@ -46,16 +46,14 @@ from slipmap.models.physics.compiled import (
 )
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS
 from slipmap.models.physics.friction import AFTER, FINGER_SETTLING, FORCE, STATE
-from slipmap.models.physics.kernel_arguments import (
+from slipmap.models.physics.kernel_tools import (
     Common,
     FloatArray,
     Formulas,
     JoinedPushes,
+    OnePush,
     ReducedMaps,
     Results,
-)
-from slipmap.models.physics.kernel_tools import (
-    OnePush,
     copy_into,
     evenly_dealt,
     joined,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.kernel_arguments import JoinedPushes
+from slipmap.models.physics.kernel_tools import JoinedPushes
 from slipmap.models.settings import check_kind
 
 

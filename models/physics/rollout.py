@@ -18,7 +18,7 @@ from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import CONSTANTS
 from slipmap.models.physics.kernel import loads_at, rollout_all
-from slipmap.models.physics.kernel_arguments import (
+from slipmap.models.physics.kernel_tools import (
     Common,
     Formulas,
     JoinedPushes,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.effects.program import Delay, Program
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.kernel_arguments import JoinedPushes, Results
+from slipmap.models.physics.kernel_tools import JoinedPushes, Results
 from slipmap.models.physics.step import INERTIA_COLUMNS
 from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED
 

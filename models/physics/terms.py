@@ -43,8 +43,7 @@ from slipmap.models.physics.friction import (
     stretch_gradients,
     weigh_cells,
 )
-from slipmap.models.physics.kernel_arguments import Formulas
-from slipmap.models.physics.kernel_tools import Turn, copy_into
+from slipmap.models.physics.kernel_tools import Formulas, Turn, copy_into
 from slipmap.models.physics.newton import LANES, Cells, padded_cells
 from slipmap.models.physics.slopes import (
     add_compliance,

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.engines import EngineScene, Subject, two_material_scene
-from slipmap.diagrams.application.audit.measures import Measure, measures
+from slipmap.diagrams.application.audit.probes import Measure, measures
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Scene, bounds, scales
 from slipmap.models.effects.library import LIBRARY

@@ -6,8 +6,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from slipmap.diagrams.application.benchmark import plain_numpy
-from slipmap.diagrams.application.benchmark.other_engines import run_bullet, run_mujoco
+from slipmap.diagrams.application.benchmark.other_engines import plain_rollout, run_bullet, run_mujoco
 from slipmap.diagrams.application.benchmark.scene import (
     STEP,
     Outcome,
@@ -126,10 +125,10 @@ def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], dict
 
 def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:
     """Outcome of plain numpy, and the largest difference of its poses from ours."""
-    poses = plain_numpy.rollout(scene.slider, scene.maps, scene.push)
+    poses = plain_rollout(scene.slider, scene.maps, scene.push)
     ours = scene.slider.rollout(scene.maps[:1], [scene.push]).poses[0]
     difference = float(np.abs(poses[1:] - ours).max())
-    seconds = median_time(lambda: plain_numpy.rollout(scene.slider, scene.maps, scene.push), repeats)
+    seconds = median_time(lambda: plain_rollout(scene.slider, scene.maps, scene.push), repeats)
     return Outcome(seconds, poses[-1], "the same convex step, one model"), difference
 
 

@@ -10,8 +10,13 @@ from functools import cache
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
-from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.predictive import PushEquations, log_determinant, whitened_rows
+from slipmap.models.inference.diagnosis.correlated import (
+    CorrelatedLikelihood,
+    FitData,
+    PushEquations,
+    log_determinant,
+    whitened_rows,
+)
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings

@@ -33,8 +33,7 @@ from slipmap.models.effects.registry import candidates_given
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, open_trials, with_locked
-from slipmap.models.inference.diagnosis.other_causes import with_other_causes
-from slipmap.models.inference.diagnosis.outcomes import Outcome
+from slipmap.models.inference.diagnosis.outcomes import Outcome, with_other_causes
 from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
 from slipmap.models.inference.diagnosis.results import (
     QUICK_COARSENESS,
@@ -66,8 +65,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     worth_asking,
 )
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.fewer_cells import with_fewer_cells
-from slipmap.models.inference.identification import learn
+from slipmap.models.inference.identification import learn, with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.push_errors import repeated_pushes
 from slipmap.models.inference.results import Identification

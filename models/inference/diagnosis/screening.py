@@ -21,9 +21,8 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, EffectError, Scene
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, PushEquations, whitened_rows
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
-from slipmap.models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import StageProgress, side_by_side

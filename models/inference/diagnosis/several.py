@@ -33,9 +33,8 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
-from slipmap.models.inference.diagnosis.judged_together import Ground, JudgedFit
-from slipmap.models.inference.diagnosis.locked import LockedErrors, with_locked
-from slipmap.models.inference.diagnosis.other_causes import doubts_of_check
+from slipmap.models.inference.diagnosis.locked import Ground, JudgedFit, LockedErrors, with_locked
+from slipmap.models.inference.diagnosis.outcomes import doubts_of_check
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
     JointCandidate,
@@ -265,7 +264,7 @@ class _Inquiry:
             self.starts[one.effect.name] = one.start
             evidence[one.effect.name] = fit.evidence(base)
         self.report("refitting with effects", _REFITTED, _REFITTED)
-        ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
+        ahead = sorted(evidence, key=lambda name: -evidence[name])
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
         stage = partial(self.report, "judging by locked pushes")
         judged: list[JudgedFit] = []

@@ -97,7 +97,7 @@ def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | N
     if not moving.any():
         return None
     rows = _telling(moving)
-    lags = _candidates(setup, pose, tip, moving, near)
+    lags = _candidates(pose, tip, moving, near)
     if not len(lags):
         return None
     cost = [_misfit(setup, pose, tip, rows, moving, lag, _COARSE) for lag in lags]
@@ -162,9 +162,7 @@ def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
     return np.sort(np.concatenate(chosen))
 
 
-def _candidates(
-    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], near: bool
-) -> FloatArray:
+def _candidates(pose: Channel, tip: Channel, moving: NDArray[np.bool_], near: bool) -> FloatArray:
     """Lags to try: all in steps or, if there are too many, those at which finger and object move together."""
     least = pose.time[moving][0] - tip.time[-1]
     most = pose.time[moving][-1] - tip.time[0]

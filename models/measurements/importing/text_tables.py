@@ -59,7 +59,7 @@ def read_text(path: Path, where: str) -> list[Source]:
         return _motive(_rows(text, _sign(lines), where), where)
     if words <= {"Objects", "Segments", "Trajectories", "Model Outputs", ""}:
         return _vicon(_rows(text, _sign(lines), where), where)
-    return [_table(text, lines, where)]
+    return [_table(lines, where)]
 
 
 def _sign(lines: Sequence[str]) -> str | None:
@@ -98,7 +98,7 @@ def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
         raise DatasetError(f"{where}: not readable as a table ({parsing.shown_error(error)})") from None
 
 
-def _table(text: str, lines: Sequence[str], where: str) -> Source:
+def _table(lines: Sequence[str], where: str) -> Source:
     """A table with one header line or none, in any dialect."""
     comments = 0
     while comments < len(lines) and (_is_comment(lines[comments]) or not lines[comments].strip()):

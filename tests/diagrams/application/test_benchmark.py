@@ -15,10 +15,10 @@ from schemas import assert_as_described
 from slipmap.diagrams.application.benchmark import (
     format_table,
     other_engines,
-    plain_numpy,
     run_benchmark,
     scene,
 )
+from slipmap.diagrams.application.benchmark.other_engines import plain_rollout
 from slipmap.diagrams.application.benchmark.scene import make_scene
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -48,7 +48,7 @@ def test_plain_numpy_and_the_kernel_agree(
     push = Push(h, np.array(start) + np.outer(time, velocity), np.zeros(3), np.array([0.01, 0.0, 0.3]))
     slider = Slider(grid, 0.008)
     ours = slider.rollout(maps, [push]).poses[0]
-    theirs = plain_numpy.rollout(slider, maps, push)
+    theirs = plain_rollout(slider, maps, push)
     assert np.abs(ours[-1]).max() > 0.01
     assert theirs[0] == pytest.approx(push.start_pose)
     assert theirs[1:] == pytest.approx(ours, abs=1e-6)
@@ -58,7 +58,7 @@ def test_plain_numpy_refuses_a_finger_inside_the_object() -> None:
     scene = make_scene(cells=6, models=1, steps=5, seed=0)
     inside = Push(scene.push.h, np.zeros((3, 2)), np.zeros(3))
     with pytest.raises(ValueError, match="inside the object"):
-        plain_numpy.rollout(scene.slider, scene.maps, inside)
+        plain_rollout(scene.slider, scene.maps, inside)
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,7 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.several import fit_together
-from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
-from slipmap.models.inference.identification import fit, identify
+from slipmap.models.inference.identification import fit, identify, spread_out, with_fewer_cells
 from slipmap.models.inference.observations import to_learn_from
 from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, slider_for
@@ -97,7 +96,7 @@ def test_the_prior_of_merged_cells_expects_a_uniform_object(recorded, sides) -> 
 def test_a_belief_from_merged_cells_is_about_the_datasets_own(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     fine = replace(recorded.dataset, grid=cells_from_polygon(recorded.slider.grid.exterior, count=240))
     all_cells = identify(fine, hypotheses=4, friction_laws=False)
-    monkeypatch.setattr("slipmap.models.inference.fewer_cells.MOST_CELLS", 100)
+    monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 100)
     learned = identify(fine, hypotheses=4, friction_laws=False)
     belief = learned.belief
     assert len(belief.grid) == len(fine.grid) and belief.fingerprint == fine.fingerprint
@@ -123,7 +122,7 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     slider = Slider(grid, 0.006, effects=[tilt])
     dataset = record_pushes(slider, tilted, pushes, rng, heldout=3, mass=recorded.dataset.mass)
     fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=150))
-    monkeypatch.setattr("slipmap.models.inference.fewer_cells.MOST_CELLS", 50)
+    monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 50)
     fitted = fit(fine, ["table_tilt"], hypotheses=2)
     assert len(fitted.belief.grid) == len(fine.grid)
     assert fitted.effect_estimates["table_tilt"]["down_x"]["value"] == pytest.approx(0.08, rel=0.1)

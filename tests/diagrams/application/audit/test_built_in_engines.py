@@ -9,7 +9,7 @@ import pytest
 
 from slipmap.diagrams.application.audit import probes
 from slipmap.diagrams.application.audit.engines import BUILT_IN, GRAVITY, MU, find_engine, plain_scene
-from slipmap.diagrams.application.audit.measures import Key, measures
+from slipmap.diagrams.application.audit.probes import Key, measures
 
 
 @pytest.mark.parametrize("spec", ["mujoco:elliptic", "bullet", "drake:lagged"])

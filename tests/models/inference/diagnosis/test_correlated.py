@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.predictive import whitened_rows
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData, whitened_rows
 from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings

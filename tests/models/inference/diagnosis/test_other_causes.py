@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.other_causes import doubts_of_check, with_other_causes
-from slipmap.models.inference.diagnosis.outcomes import Outcome
+from slipmap.models.inference.diagnosis.outcomes import Outcome, doubts_of_check, with_other_causes
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.measurements import Channel, PushDataset

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from slipmap.models.inference.diagnosis.predictive import PushEquations
+from slipmap.models.inference.diagnosis.correlated import PushEquations
 
 
 @pytest.fixture
