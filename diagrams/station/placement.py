@@ -15,7 +15,7 @@ from slipmap.diagrams.perception.cell_perception import FRAMES
 from slipmap.diagrams.perception.sight import ArmHulls, view_from
 from slipmap.diagrams.station.arm import HOME, lone_arm
 from slipmap.diagrams.station.hidden_effects import tether_pull, tilted_gravity
-from slipmap.diagrams.station.sliding_object import FOUR, own_frictions
+from slipmap.diagrams.station.sliding_object import FOUR, foot_frictions, side_contact
 from slipmap.models.geometry import turn
 from slipmap.models.objects.meshes import DOUBTFUL_EXTENT
 from slipmap.models.objects.true_object import TrueObject
@@ -193,7 +193,8 @@ def check_feasible(scenario: "Scenario", thing: TrueObject) -> None:
             are too infrequent, too noisy or too coarse or show too little of the table, or the arm hides the
             object. The text has the numbers.
     """
-    own_frictions(thing, scenario.table.friction)
+    foot_frictions(thing, scenario.table.friction)
+    side_contact(thing, scenario.gravity)
     force = float(thing.mass @ thing.mu) * scenario.gravity
     if force > _STRONGEST:
         raise ValueError(

@@ -109,19 +109,23 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
     return wanted * given / (2 * given - wanted)
 
 
-def own_frictions(
-    true_object: TrueObject, table_friction: float, finger_friction: float = FINGER_FRICTION
-) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of the object's own surfaces: cells (n,), and sides (1,), against which a finger pushes.
+def foot_frictions(true_object: TrueObject, table_friction: float) -> FloatArray:
+    """(n,) own coefficients of the cells' feet. Raises ValueError as `partner_friction`."""
+    return partner_friction(true_object.mu, table_friction, f"object {true_object.name} on the table")
+
+
+def side_contact(true_object: TrueObject, gravity: float) -> geometry.ProximityProperties:
+    """Contact properties of the object's side, against which a finger pushes.
+
+    Args:
+        gravity: m/s², which determines the stiffness.
 
     Raises:
         ValueError: see `partner_friction`.
     """
-    name, sides = true_object.name, np.array([true_object.mu_finger])
-    return (
-        partner_friction(true_object.mu, table_friction, f"object {name} on the table"),
-        partner_friction(sides, finger_friction, f"object {name} at the finger"),
-    )
+    wanted = np.array([true_object.mu_finger])
+    (mu,) = partner_friction(wanted, FINGER_FRICTION, f"object {true_object.name} at the finger")
+    return _contact(true_object.total_mass * gravity / _BLOCK_SINK, mu)
 
 
 def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
@@ -134,7 +138,6 @@ def add_sliding_object(
     plant: MultibodyPlant,
     true_object: TrueObject,
     table_friction: float,
-    finger_friction: float = FINGER_FRICTION,
     *,
     feet: Feet = FOUR,
 ) -> ModelInstanceIndex:
@@ -142,23 +145,24 @@ def add_sliding_object(
 
     Body frame and object frame coincide. Each cell stands on feet (small spheres) that have the cell's
     friction with the table. The stiffness of a foot is proportional to its cell's mass: all sink in equally,
-    so that at rest each carries the weight of its cell. The finger, and the table's edge once the object tips
-    over it, touch the object's blocks, which end a little above the table; feet are too low for a finger.
+    so that at rest each carries the weight of its cell. The gripper, and the table's edge once the object
+    tips over it, touch the object's blocks, which end a little above the table; see `finger_contact` for
+    pushes.
 
     Args:
         plant: registered with a scene graph, not finalized, with any round table already in it; see
             `plant_config`. Its gravity determines the stiffness of the feet.
         table_friction: of the table's own geometry (`table_contact`).
-        finger_friction: of the finger's own geometry; together with that of the blocks it gives `mu_finger`.
         feet: on which it stands.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
     """
-    foot_mu, block_mu = own_frictions(true_object, table_friction, finger_friction)
+    foot_mu = foot_frictions(true_object, table_friction)
     instance = plant.AddModelInstance(BODY)
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
     grid, gravity = true_object.grid, -float(plant.gravity_field().gravity_vector()[2])
+    side = side_contact(true_object, gravity)
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
         wanted = mass * gravity / len(feet.places) / feet.sink
@@ -171,11 +175,10 @@ def add_sliding_object(
                     body, X_OF, geometry.Sphere(_FOOT_RADIUS), name_of_foot, contact
                 )
             )
-    contact = _contact(true_object.total_mass * gravity / _BLOCK_SINK, block_mu[0])
     for index, points in enumerate(_block_corners(true_object, feet.clearance)):
         shape = geometry.Convex(points=points, label=f"{true_object.name} block {index}")
         block_shapes.append(
-            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", contact)
+            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", side)
         )
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):

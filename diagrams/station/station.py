@@ -16,6 +16,7 @@ from slipmap.diagrams.perception.depth_noise import DepthNoise
 from slipmap.diagrams.perception.depth_picture import add_depth_picture
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import add_arm, add_arm_drivers
+from slipmap.diagrams.station.finger_contact import push_with_gripper
 from slipmap.diagrams.station.hidden_effects import LatePictures, add_hidden_effects
 from slipmap.diagrams.station.placement import check_placement
 from slipmap.diagrams.station.rest import Hold, RestWatch
@@ -88,6 +89,7 @@ class Station(PythonDiagram):
         body = plant.GetBodyByName(BODY)
         x, y, degrees = scenario.object.pose
         plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(x, y, float(np.radians(degrees))))
+        push_with_gripper(plant, self.true_object, self.arm)
         plant.Finalize()
         self.plant = plant
         self.arm_hulls = ArmHulls(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])

@@ -1,8 +1,7 @@
 """The true world of the campaigns: Drake's MultibodyPlant with a finger on a prescribed path, without arm."""
 
 import numpy as np
-from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
-from pydrake.math import RigidTransform
+from pydrake.geometry import AddContactMaterial, ProximityProperties
 from pydrake.multibody import tree
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
 from pydrake.systems.analysis import Simulator
@@ -20,6 +19,7 @@ from slipmap.diagrams.application.campaigns.worlds import (
     flat_pose,
 )
 from slipmap.diagrams.station import sliding_object
+from slipmap.diagrams.station.finger_contact import push_with_balls
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.measurements.push_dataset import Table
@@ -29,8 +29,7 @@ from slipmap.models.robots import FINGER_RADIUS
 
 TIME_STEP = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
 _FEET = sliding_object.ONE
-_FINGER_HEIGHT = 2e-3  # m, of its end above the table
-_FINGER_EDGE = 1e-3  # m; height of the part of the finger that touches
+_TOUCHED_AT = 2.5e-3  # m above the table, where the finger touches
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two checks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
@@ -67,7 +66,7 @@ class PlantWorld(DirectWorld):
         plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
         sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, feet=_FEET)
-        self._finger = _add_finger(plant)
+        self._finger = _add_finger(plant, true_object)
         plant.Finalize()
         if hidden is not None:
             add_hidden_effects(builder, plant, true_object, hidden)
@@ -157,13 +156,8 @@ class PlantWorld(DirectWorld):
         return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
 
-def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
-    """Add an upright round finger on two prismatic joints with a drive too stiff to yield.
-
-    Only its lowest millimetre touches. Along a side as upright as a long finger, the one point of contact
-    that Drake finds jumps up and down from step to step and rocks the object, whose friction `lagged` contact
-    computes from the loads of the step before.
-    """
+def _add_finger(plant: MultibodyPlant, true_object: TrueObject) -> tree.ModelInstanceIndex:
+    """Add an upright round finger on two prismatic joints with a drive too stiff to yield."""
     instance = plant.AddModelInstance("finger")
     inertia = tree.SpatialInertia.SolidSphereWithMass(1.0, 0.02)
     carriage = plant.AddRigidBody("carriage", instance, inertia)
@@ -177,8 +171,8 @@ def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
     contact = ProximityProperties()
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
-    X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + _FINGER_EDGE / 2]))
-    plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, _FINGER_EDGE), "finger", contact)
+    balls = [(finger, np.array([0.0, 0.0, _TOUCHED_AT]))]
+    push_with_balls(plant, true_object, balls, FINGER_RADIUS, contact, feet=_FEET)
     return instance
 
 

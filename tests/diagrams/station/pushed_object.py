@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from slipmap.diagrams.station.arm import lone_arm
+from slipmap.diagrams.station.finger_contact import push_with_balls
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.sliding_object import (
     BODY,
@@ -51,7 +52,7 @@ class TestBed:
         add_sliding_object(self.plant, true_object, TABLE_FRICTION)
         self.finger = None
         if finger:
-            self._add_finger()
+            self._add_finger(true_object)
         self.plant.Finalize()
         self.body = self.plant.GetBodyByName(BODY)
         if hidden is not None:
@@ -100,7 +101,7 @@ class TestBed:
         port = self.plant.get_desired_state_input_port(self.finger)
         port.FixValue(self.context, np.concatenate([position, velocity]))
 
-    def _add_finger(self) -> None:
+    def _add_finger(self, true_object: TrueObject) -> None:
         plant = self.plant
         self.finger = plant.AddModelInstance("finger")
         inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
@@ -123,7 +124,15 @@ class TestBed:
         X_FP = RigidTransform(RollPitchYaw(np.pi, 0, 0), [0, 0, FINGER_HEIGHT]) @ X_PT.inverse()
         inspector = scene_graph.model_inspector()
         frame = gripper.GetBodyFrameIdOrThrow(pin.body().index())
+        shapes, center = {}, np.zeros(3)
         for shape in inspector.GetGeometries(frame, Role.kProximity):
             X_FG = X_FP @ inspector.GetPoseInFrame(shape)
             name = inspector.GetName(shape).split("::")[-1]
-            plant.RegisterCollisionGeometry(finger, X_FG, inspector.GetShape(shape), name, contact)
+            shapes[name] = plant.RegisterCollisionGeometry(
+                finger, X_FG, inspector.GetShape(shape), name, contact
+            )
+            if name == "left_end":
+                center = X_FG.translation()
+        push_with_balls(
+            plant, true_object, [(finger, center)], FINGER_RADIUS, contact, instead_of=[shapes["left_end"]]
+        )

@@ -195,7 +195,7 @@ def test_friction_out_of_reach_names_the_object(bar: TrueObject) -> None:
     with pytest.raises(ValueError, match="object bar on the table"):
         add_sliding_object(plant, bar, 0.2)
     with pytest.raises(ValueError, match="object bar at the finger"):
-        add_sliding_object(plant, bar, 0.6, finger_friction=0.1)
+        add_sliding_object(plant, replace(bar, mu_finger=0.7), 0.6)
     with pytest.raises(ValueError, match="radius"):
         add_table(plant, Table("round", (0.0, 0.0)))
 
