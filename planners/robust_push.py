@@ -64,7 +64,7 @@ class Scenarios:
     least_margins: FloatArray  # (S,) balance margin below which the object counts as falling, m
     noise: FloatArray  # (S, 3) error of the finger's path: x, y in m, angle about its start in rad
     # (S, 3) model error: x, y (shares of the cells' path) and angle (rad per metre of path), drawn with the
-    # size of `Belief.end_errors`; zero if the belief has not learned those
+    # median of `Belief.end_errors`; zero if the belief has not learned those
     drift: FloatArray
 
     @classmethod
@@ -82,7 +82,7 @@ class Scenarios:
             # A separate generator, so that later draws from `rng` are the same with and without drift.
             drift = np.random.default_rng(_DRIFTS).standard_normal(drift.shape)
             drift -= probability @ drift
-            drift *= belief.end_errors / np.maximum(np.sqrt(probability @ drift**2), 1e-9)
+            drift *= np.median(belief.end_errors, axis=0) / np.maximum(np.sqrt(probability @ drift**2), 1e-9)
         return cls(
             belief.slider,
             belief.maps[hypothesis],

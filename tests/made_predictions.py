@@ -54,4 +54,4 @@ def region_left_by(excess, end):
     """A region that an end (3,) is so many times as far out of as it reaches."""
     plain = EndRegion.of(np.zeros((1, 3)), np.ones(1), np.full(3, 1e-3))
     off = np.array([1e-3, 0.0, 0.0])
-    return EndRegion(end - off * excess / plain.excess(off), plain.covariance, plain.freedom)
+    return EndRegion(end - off * excess / plain.excess(off), plain.covariances, plain.freedom)

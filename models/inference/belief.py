@@ -198,10 +198,12 @@ class Belief:
 
     @property
     def end_errors(self) -> FloatArray:
-        """(3,) model error at the end of a push beyond the spread of the hypotheses: standard deviations of
-        x, y (shares of the cells' travel) and θ (rad per metre of travel); zero where not learned."""
-        place, turn = self.settings.get(END_ERRORS, [0.0, 0.0])
-        return np.array([place, place, turn / radius_of_gyration(self.grid)])
+        """(J, 3) model error at the end of a push beyond the spread of the hypotheses: standard deviations of
+        x, y (shares of the cells' travel) and θ (rad per metre of travel). The pushes leave open which of the
+        J values is right, and they are equally likely. Zero where not learned."""
+        # Files of earlier versions hold a single value.
+        place, turn = np.reshape(self.settings.get(END_ERRORS, [0.0, 0.0]), (2, -1))
+        return np.stack([place, place, turn / radius_of_gyration(self.grid)], axis=1)
 
     @property
     def centers_of_mass(self) -> FloatArray:

@@ -5,6 +5,7 @@ follows each of them. So the pushes are split into folds, and the model is refit
 starting from the best fit to all. An end of a left-out push is off by what the refit leaves open, with the
 variance V = J (I + H)⁻¹ Jᵀ, by the sensors' noise, and by the model's error, of which a share ε of the travel
 is Student's. Only ε is unknown: its distribution, given how far off all ends are, is computed on a grid.
+Five short pushes may leave open whether it is a thousandth or some hundredths, so predictions use all of it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ _FOLDS = 8
 
 _SHARES = np.geomspace(1e-4, 1.0, 401)
 """Values of ε, equally likely beforehand: from what no camera could see to the whole travel."""
+
+_QUANTILES = (np.arange(9) + 0.5) / 9
+"""Of ε: so many equally likely values stand for its distribution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +90,7 @@ def leave_out(likelihood: Likelihood, best: Fits) -> LeftOut:
     return LeftOut(likelihood, fits, fold)
 
 
-def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[float]:
+def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[list[float]]:
     """Errors of predicted ends beyond sensor noise and what the pushes leave open, as shares of the travel.
 
     Args:
@@ -95,7 +99,7 @@ def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[float]:
 
     Returns:
         Standard deviations of x and y, and of ρ θ, where ρ is the cells' radius of gyration, as shares of
-        `prediction.effective_travel`: medians of what is known of them.
+        `prediction.effective_travel`: equally likely values of each, ascending.
     """
     likelihood = left_out.likelihood
     grid = likelihood.prior.slider.grid
@@ -106,11 +110,11 @@ def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[float]:
     open_ = (variances + noise.of_poses**2) * scale**2
     travel = np.array([observation.travel(grid.centers)[-1] for observation in likelihood.observations])
     parts = slice(0, 2), slice(2, 3)
-    return [_share(off[:, part], open_[:, part], effective_travel(travel)) for part in parts]
+    return [_shares(off[:, part], open_[:, part], effective_travel(travel)) for part in parts]
 
 
-def _share(off: FloatArray, variance: FloatArray, travel: FloatArray) -> float:
-    """Median of ε, from errors (B, m), their variances (B, m) without ε, and travels (B,)."""
+def _shares(off: FloatArray, variance: FloatArray, travel: FloatArray) -> list[float]:
+    """Quantiles of ε, from errors (B, m), their variances (B, m) without ε, and travels (B,)."""
     of_model = (_SHARES * travel[:, None, None]) ** 2
     total = variance[..., None] + of_model
     # The sum of a normal and a Student's error as in `EndRegion`.
@@ -120,6 +124,6 @@ def _share(off: FloatArray, variance: FloatArray, travel: FloatArray) -> float:
     density -= 0.5 * (freedom + 1.0) * np.log1p(off[..., None] ** 2 / spread)
     log = density.sum(axis=(0, 1))
     if not np.isfinite(log).all():  # a fit that says nothing of these pushes
-        return float(_SHARES[-1])
+        return [float(_SHARES[-1])] * len(_QUANTILES)
     below = np.cumsum(np.exp(log - log.max()))
-    return float(_SHARES[np.searchsorted(below, 0.5 * below[-1])])
+    return [float(share) for share in _SHARES[np.searchsorted(below, _QUANTILES * below[-1])]]

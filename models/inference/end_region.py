@@ -11,6 +11,9 @@ determine their spread poorly, and a model is far off now and then: most pushes 
 balance do not. So the spread counts as Hotelling's, and s as Student's with few degrees of freedom; c has the
 degrees of freedom of the sum (Welch and Satterthwaite), which are almost unlimited where σ dominates. For a
 single number this is the usual interval.
+
+A few pushes say little about s: any of J values may be right. An end is then as rare as it is on average over
+those, which hardly changes the regions of 50 % and widens those of 95 and 99 %.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import fdtrc, fdtri
 
 from slipmap.models.physics.cell_grid import FloatArray
@@ -60,9 +64,10 @@ class EndRegion:
     """
 
     middle: FloatArray  # (n,) the hypotheses' mean
-    # (n, n) C, scaled so that the squared distance over n is distributed as Fisher's F(n, freedom)
-    covariance: FloatArray
-    freedom: float
+    # (J, n, n) C for each size of the model's error, scaled so that the squared distance over n is
+    # distributed as Fisher's F(n, freedom)
+    covariances: FloatArray
+    freedom: FloatArray  # (J,)
 
     @classmethod
     def of(
@@ -78,7 +83,7 @@ class EndRegion:
             draws: (K, n) one for each hypothesis; angles do not wrap.
             probability: (K,) of the hypotheses.
             sigma: (n,) standard deviations of normal errors.
-            model: (n,) standard deviations of the model's error.
+            model: (n,) or (J, n) standard deviations of the model's error; J equally likely ones.
         """
         n = draws.shape[1]
         effective = 1.0 / float(probability @ probability)
@@ -90,25 +95,27 @@ class EndRegion:
             # With hardly more than one effective hypothesis, the spread is known no better than that of two.
             few = max(2.0, effective)
             spread *= few / (few - 1.0) * (1.0 + 1.0 / effective)
-        off = np.diag(np.broadcast_to(model, n) ** 2)
+        deviations = np.atleast_2d(np.broadcast_to(model, np.broadcast_shapes(np.shape(model), (n,))))
+        off = deviations[:, :, None] ** 2 * np.eye(n)
         # Keep the covariance regular where a number has no error.
-        covariance = spread + off + np.diag(np.maximum(sigma, 1e-9) ** 2)
+        covariances = spread + off + np.diag(np.maximum(sigma, 1e-9) ** 2)
         own = max(effective - n, _LEAST_FREEDOM)
-        shares = [float(np.trace(np.linalg.solve(covariance, part))) / n for part in (spread, off)]
-        of_hypotheses, of_model = shares[0] ** 2 / own, shares[1] ** 2 / MODEL_FREEDOM
-        freedom = 1.0 / max(of_hypotheses + of_model, 1.0 / MOST_FREEDOM)
+        inverses = np.linalg.inv(covariances)
+        of_hypotheses = (np.einsum("jab,ab->j", inverses, spread) / n) ** 2 / own
+        of_model = (np.einsum("jab,jab->j", inverses, off) / n) ** 2 / MODEL_FREEDOM
+        freedom = 1.0 / np.maximum(of_hypotheses + of_model, 1.0 / MOST_FREEDOM)
         # Hotelling's region is wider than its covariance; Student's core is narrower.
-        covariance *= (1.0 + (n - 1.0) * of_hypotheses) * (1.0 - 2.0 * of_model)
-        return cls(middle, covariance, freedom)
+        scale = (1.0 + (n - 1.0) * of_hypotheses) * (1.0 - 2.0 * of_model)
+        return cls(middle, covariances * scale[:, None, None], freedom)
 
     def interval(self, level: float) -> tuple[float, float]:
         """Lower and upper end of the region of a single number."""
-        half = float(np.sqrt(fdtri(1, self.freedom, level) * self.covariance[0, 0]))
+        half = self._reach(1.0 / self.covariances[:, 0, 0], level)
         return float(self.middle[0]) - half, float(self.middle[0]) + half
 
     def rarity(self, point: FloatArray) -> float:
         """Share of pushes of a right model that end at least as far out as a point (n,); 1 at the centre."""
-        return float(fdtrc(len(self.middle), self.freedom, self._distance(point)))
+        return self._share_beyond(self._distances(point))
 
     def holds(self, point: FloatArray, level: float = LEVEL) -> bool:
         """Whether a point (n,) lies inside the region of a level."""
@@ -116,8 +123,25 @@ class EndRegion:
 
     def excess(self, point: FloatArray) -> float:
         """Distance of a point (n,) from the centre over that of the region's boundary in its direction."""
-        return float(np.sqrt(self._distance(point) / fdtri(len(self.middle), self.freedom, LEVEL)))
+        distances = self._distances(point)
+        return 1.0 / self._reach(distances, LEVEL) if distances.any() else 0.0
 
-    def _distance(self, point: FloatArray) -> float:
+    def _distances(self, point: FloatArray) -> FloatArray:
+        """(J,) squared distances of a point from the centre, over n."""
         off = np.asarray(point, dtype=float) - self.middle
-        return float(off @ np.linalg.solve(self.covariance, off)) / len(off)
+        return np.linalg.solve(self.covariances, off) @ off / len(off)
+
+    def _share_beyond(self, distances: FloatArray) -> float:
+        return float(fdtrc(len(self.middle), self.freedom, distances).mean())
+
+    def _reach(self, distances: FloatArray, level: float) -> float:
+        """Factor by which a way from the centre, of squared distances (J,), reaches a level's boundary."""
+        single = np.sqrt(fdtri(len(self.middle), self.freedom, level) / distances)
+        low, high = float(single.min()), float(single.max())
+        if high - low <= 1e-9 * high:
+            return high
+
+        def excess_share(reach: float) -> float:
+            return self._share_beyond(reach**2 * distances) - (1.0 - level)
+
+        return float(brentq(excess_share, low, high, rtol=1e-9))

@@ -275,7 +275,7 @@ def predict_observations(
         ends, p = motion.poses[:, -1], motion.probability
         off = model_deviations(belief, observation.push.start_pose, ends)
         alone = [
-            EndRegion.of(drawn[:, b, i : i + 1], p, seen[i : i + 1], off[i : i + 1]).interval(0.9)
+            EndRegion.of(drawn[:, b, i : i + 1], p, seen[i : i + 1], off[:, i : i + 1]).interval(0.9)
             for i in range(3)
         ]
         likely = motion.likeliest_poses[-1]
@@ -298,7 +298,8 @@ def predict_observations(
 
 
 def model_deviations(belief: Belief, start: FloatArray, ends: FloatArray) -> FloatArray:
-    """(3,) standard deviations of x, y, θ of an end because of the model's error over this travel.
+    """(J, 3) standard deviations of x, y, θ of an end because of the model's error over this travel: J
+    equally likely ones.
 
     Args:
         belief: what was learned.

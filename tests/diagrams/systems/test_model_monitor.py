@@ -261,7 +261,7 @@ def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors
     assert region.holds(elsewhere)
     (predicted,) = predict(learned, dataset)
     assert predicted.end_region is not None
-    np.testing.assert_allclose(region.covariance, predicted.end_region.covariance, rtol=1e-9)
+    np.testing.assert_allclose(region.covariances, predicted.end_region.covariances, rtol=1e-9)
     np.testing.assert_allclose(region.middle, predicted.end_region.middle, atol=1e-12)
     # Also where the live hypotheses set out from another look at the start than the mean of them all.
     start = observation.push.start_pose + np.array([1e-3, -1e-3, 8e-3])
@@ -272,7 +272,7 @@ def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors
     unseen = ErrorModel(pose_noise(error.noise.position, 1.0), 0.03, 0.0)
     held = resting_region(observation, poses, learned, unseen, error.noise)
     np.testing.assert_allclose(held.middle, region.middle, atol=1e-12)
-    assert held.covariance[2, 2] > region.covariance[2, 2] + 0.5
+    assert held.covariances[0, 2, 2] > region.covariances[0, 2, 2] + 0.5
 
 
 def test_noise_must_be_known() -> None:

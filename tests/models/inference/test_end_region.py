@@ -53,6 +53,24 @@ def test_a_model_that_is_now_and_then_far_off_is_outside_as_often_as_the_level_s
     assert inside == pytest.approx([0.5, 0.9, 0.95], abs=0.05)
 
 
+def test_where_the_size_of_the_models_error_is_open_as_many_lie_inside_as_the_level_says() -> None:
+    """Any of three sizes, each a third of the pushes; the middle one alone would be left too often."""
+    rng = np.random.default_rng(9)
+    sizes = np.array([0.1, 1.0, 10.0])[:, None] * SIGMA
+    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), 0.01 * SIGMA, sizes)
+    off = rng.standard_t(MODEL_FREEDOM, (3000, 1)) / np.sqrt(MODEL_FREEDOM / (MODEL_FREEDOM - 2.0))
+    off = off * sizes[rng.integers(3, size=3000)]
+    alone = EndRegion.of(np.zeros((1, 1)), np.ones(1), 0.01 * SIGMA[:1], sizes[:, :1])
+    for level in (0.5, 0.9, 0.95):
+        low, high = alone.interval(level)
+        assert np.mean((low < off[:, 0]) & (off[:, 0] < high)) == pytest.approx(level, abs=0.03)
+        assert alone.rarity(np.array([high])) == pytest.approx(1.0 - level)
+    border = off[0] / region.excess(off[0])
+    assert region.rarity(border) == pytest.approx(0.05) and region.excess(border) == pytest.approx(1.0)
+    middle = EndRegion.of(np.zeros((1, 1)), np.ones(1), 0.01 * SIGMA[:1], sizes[1, :1])
+    assert np.mean([middle.holds(one[:1]) for one in off]) < 0.85
+
+
 def test_the_interval_of_one_number_is_students() -> None:
     draws = np.random.default_rng(7).normal(size=(12, 1))
     low, high = EndRegion.of(draws, np.full(12, 1 / 12), np.zeros(1)).interval(0.9)
