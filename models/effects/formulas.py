@@ -317,6 +317,21 @@ def module_source(effects: Sequence[Effect]) -> str:
     return text + f"\n\nSIZES = {sizes}\n"
 
 
+def written_out(effects: Sequence[Effect]) -> str | None:
+    """Everything that the source of some effects is made of, and SymPy's version.
+
+    None if a formula contains functions that are not SymPy's own, whose derivatives may change unseen.
+    """
+    slots = Slots(effects)
+    formulas = sp.Tuple(*slots.body, *slots.cell, *slots.renewed, *slots.reports)
+    if any(
+        not str(kind.__module__).startswith("sympy.") for kind in map(type, sp.preorder_traversal(formulas))
+    ):
+        return None
+    sizes = (len(slots.body), len(slots.renewed), slots.blades, slots.pyramids, slots.bends)
+    return f"{sp.__version__} {sizes} {slots.y} {slots.parameters} {slots.memory} {sp.srepr(formulas)}"
+
+
 def _cell_functions(slots: Slots, printer: Any) -> str:
     """Source of the functions `cells` and `cell_slopes`."""
     loop = {real("r_x"), real("r_y")}

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from pushed_with_effects import BLOCK, RADIUS, plain_maps, sliding_push, with_values
 
-from slipmap.models.effects import LIBRARY, EffectError, Scene
+from slipmap.models.effects import LIBRARY, EffectError, Scene, program
 from slipmap.models.effects.effect_checks import check_declaration, check_starts
+from slipmap.models.effects.program import program_of
 from slipmap.models.effects.registry import effects_named, known_effects, load_effects
 from slipmap.models.physics.rollout import Slider
 
@@ -294,3 +295,37 @@ def test_a_changed_file_is_compiled_anew(file) -> None:  # type: ignore[no-untyp
     first = poses(GOOD)
     stronger = poses(GOOD.replace("p.strength *", "2 * p.strength *"))
     assert np.abs(first - stronger).max() > 1e-4
+
+
+def test_the_same_formulas_are_differentiated_once(file, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """In a file of another name too, and after others have been compiled."""
+    effects = effects_named(["table_tilt", "tether"])
+    first = program_of([*effects, *load_effects(file(GOOD))])
+    monkeypatch.setattr(program, "_source", lambda effects: pytest.fail("formulas were written anew"))
+    again = program_of([*effects, *load_effects(file(GOOD, "same.py"))])
+    assert again is not first and (again.sizes == first.sizes).all()
+    with pytest.raises(pytest.fail.Exception):
+        program_of(load_effects(file(GOOD.replace("0.03**2 / distance", "0.031**2 / distance"))))
+
+
+def test_a_function_of_ones_own_may_change_its_code(file) -> None:  # type: ignore[no-untyped-def]
+    """Its formula reads the same."""
+    own = """\
+class Scaled(sp.Function):
+    def _pythoncode(self, printer):
+        return f"(2 * {printer._print(self.args[0])})"
+
+    def fdiff(self, argindex=1):
+        return sp.Integer(2)
+
+
+class Magnet"""
+    text = GOOD.replace("class Magnet", own, 1).replace("return pull * (0.1 - body.x)", "return Scaled(pull)")
+    push, maps = sliding_push(0.3), plain_maps()
+
+    def poses(text: str) -> np.ndarray:
+        slider = Slider(BLOCK, RADIUS, effects=load_effects(file(text)))
+        return slider.rollout(with_values(maps, [0.5]), [push]).poses
+
+    more = text.replace("(2 * {", "(3 * {").replace("Integer(2)", "Integer(3)")
+    assert np.abs(poses(text) - poses(more)).max() > 1e-4

@@ -172,6 +172,7 @@ def test_accuracy_weights_punish_the_misfit_alone():
     ],
 )
 def test_measured_pushes(shared_data, name, limit, measure):
+    """Are predicted with all laws of friction, as by default."""
     document = identify(read_dataset(shared_data / name)).to_json()
     assert document[measure] < limit
     assert document["heldout_error_mean"] < document["uniform_error_mean"]

@@ -350,11 +350,6 @@ def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  
     assert np.mean(plain) < 0.3
 
 
-def test_real_pushes_are_predicted_with_all_laws(shared_data) -> None:  # type: ignore[no-untyped-def]
-    result = identify(read_dataset(shared_data / "real/cpush_square"), friction_laws=True)
-    assert result.errors("heldout").mean() < 6e-3
-
-
 @pytest.mark.parametrize(
     ("pushes", "exact_law", "structure", "compared"),
     [
