@@ -15,7 +15,7 @@ from slipmap.models.measurements import read_dataset
 
 SCENARIO = """
 object: {name: box}
-camera: {rate: 3.0}
+camera: {rate: 5.0}
 simulation: {time_step: 0.005}
 pokes: {taps: 0.0}
 hidden:
@@ -29,7 +29,7 @@ def explored(renderer, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tilted")
     (folder / "cell.yaml").write_text(SCENARIO)
     code = run(
-        ["explore", "--scenario", str(folder / "cell.yaml"), "--pushes", "4", "--checks", "1", "--seed", "3",
+        ["explore", "--scenario", str(folder / "cell.yaml"), "--pushes", "5", "--checks", "1", "--seed", "3",
          "--strategy", "random", "--out", str(folder)]
     )  # fmt: skip
     assert code == 0
@@ -72,8 +72,8 @@ def test_its_pushes_are_all_learned_from_with_the_effect_and_the_object_lies_whe
     said = slipmap("explore", *words, "--out", out)
     assert said.code == 0, said.err
     old, new = read_dataset(explored / "pushes").trials, read_dataset(out / "pushes").trials
-    assert [trial.role for trial in old] == ["fit"] * 4 + ["heldout"]
-    assert [trial.role for trial in new] == ["fit"] * 5 + ["heldout"]
+    assert [trial.role for trial in old] == ["fit"] * 5 + ["heldout"]
+    assert [trial.role for trial in new] == ["fit"] * 6 + ["heldout"]
     for trial, same in zip(new, old, strict=False):
         assert np.array_equal(trial.object_pose.values, same.object_pose.values)
     assert new[-1].object_pose.values[0] == pytest.approx(old[-1].object_pose.values[-1], abs=2e-3)

@@ -14,8 +14,7 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.several import fit_together
-from slipmap.models.inference.fewer_cells import spread_out, with_fewer_cells
-from slipmap.models.inference.identification import fit, identify
+from slipmap.models.inference.identification import fit, identify, spread_out, with_fewer_cells
 from slipmap.models.inference.observations import to_learn_from
 from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, slider_for
@@ -122,8 +121,8 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     tilted = replace(recorded.truth, effects=np.array([[0.08, 0.0]]))
     slider = Slider(grid, 0.006, effects=[tilt])
     dataset = record_pushes(slider, tilted, pushes, rng, heldout=3, mass=recorded.dataset.mass)
-    fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=90))
-    monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 30)
+    fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=150))
+    monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 50)
     fitted = fit(fine, ["table_tilt"], hypotheses=2)
     assert len(fitted.belief.grid) == len(fine.grid)
     assert fitted.effect_estimates["table_tilt"]["down_x"]["value"] == pytest.approx(0.08, rel=0.1)

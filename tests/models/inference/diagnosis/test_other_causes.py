@@ -19,14 +19,13 @@ from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 OUTLINE = [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]
-CELLS = 24  # large ones, which are soon fitted
 RADIUS, MASS = 0.006, 1.0
 
 
 @pytest.fixture(scope="module")
 def pushes() -> PushDataset:
     """Pushes of a block of 1 kg, without any effect."""
-    grid = cells_from_polygon(OUTLINE, count=CELLS)
+    grid = cells_from_polygon(OUTLINE)
     n = len(grid)
     maps = Maps(np.full((1, n), MASS / n), np.full((1, n), 0.3), np.array([0.25]))
     rng = np.random.default_rng(1)
