@@ -1,9 +1,9 @@
 """Contact between a round finger and the object's side, with exact normals.
 
-Drake finds contacts of a convex shape, or of a cylinder, by an iterative search that misses the normal by up
-to 40° wherever a finger touches a corner, and where two convex shapes meet in one straight side. Only a ball
-and a box have a closed form. So the finger pushes with a ball at the height where it touches, and the object
-is touched at thin boxes along its outline, its walls. Neither touches anything else.
+Drake finds contacts of a convex shape, or of a cylinder, by an iterative search that misses the normal by
+tens of degrees wherever a finger touches a corner, and where two convex shapes meet in one straight side.
+Only a ball and a box have a closed form. So the finger pushes with a ball at the height where it touches, and
+the object is touched at thin boxes along its outline, its walls. Neither touches anything else.
 """
 
 from __future__ import annotations
@@ -82,7 +82,13 @@ def push_with_balls(
 
 
 def push_with_gripper(plant: MultibodyPlant, true_object: TrueObject, arm: Arm) -> None:
-    """Let the closed gripper push with balls in place of its collars; see `push_with_balls`."""
+    """Let the closed gripper push with balls in place of its collars; see `push_with_balls`.
+
+    Collars pass through the object's blocks, and pins, which are thinner, grasp them. A finger that comes down
+    on the object is stopped by the pins, but a ball whose centre lies inside the outline, less than its radius
+    from a side, presses that side outwards: so a robot that misjudges the object's place is not simulated
+    rightly there.
+    """
     inspector = Parser(plant).scene_graph().model_inspector()
     contact = geometry.ProximityProperties()
     friction = CoulombFriction(FINGER_FRICTION, FINGER_FRICTION)
@@ -101,10 +107,10 @@ def walls_of(true_object: TrueObject, clearance: float) -> list[tuple[RigidTrans
     """A thin upright box inside each side of the outline, from a clearance (m) above the table to the lowest
     height of the blocks there."""
     outlines = [block.outline.buffer(_SEAM, join_style="mitre") for block in true_object.blocks]
+    whole = shapely.union_all(outlines).buffer(-_SEAM, join_style="mitre")
     walls = []
-    for part in shapely.get_parts(shapely.union_all(outlines)):
-        part = part.buffer(-_SEAM, join_style="mitre").simplify(_SEAM)
-        outline = shapely.orient_polygons(without_scan_noise(part))
+    for part in shapely.get_parts(whole):
+        outline = shapely.orient_polygons(without_scan_noise(part.simplify(_SEAM)))
         for start, end in (
             side
             for ring in (outline.exterior, *outline.interiors)

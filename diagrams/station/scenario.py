@@ -40,6 +40,7 @@ from slipmap.models.objects.true_object import (
     object_from_labels,
     object_from_mesh,
 )
+from slipmap.models.settings import check_kind
 from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings, RepairSettings
 
 LARGEST = 2**16  # largest size of a scenario file, bytes; one with every setting has 5 kB
@@ -363,7 +364,9 @@ def check_scenario(scenario: Scenario) -> None:
 
     Raises:
         ScenarioError: an unknown field, a value of the wrong type, or one that a check refuses.
+        TypeError: something other than a scenario.
     """
+    check_kind("scenario", scenario, Scenario, "such as slipmap.Scenario()")
     try:
         _check(_content(scenario), Scenario, "")
         _refuse(scenario, "")

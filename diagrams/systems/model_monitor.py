@@ -45,7 +45,7 @@ class Judged:
 
     trial: int  # number of the push in the recording, from 0
     misfit: float  # see `slipmap.models.inference.push_misfit`
-    p: float  # see `slipmap.models.inference.push_misfit.rarity`
+    p: float  # see `push_misfit.rarity`; of a belief without `end_errors`, see `resting_misfit`
     evidence: float  # E after this push
     alarm: bool  # whether the alarm is on after this push
     error: float  # distance of the cells from the hypotheses' central pose (ADD), m

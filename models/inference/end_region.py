@@ -129,7 +129,7 @@ class EndRegion:
     def _distances(self, point: FloatArray) -> FloatArray:
         """(J,) squared distances of a point from the centre, over n."""
         off = np.asarray(point, dtype=float) - self.middle
-        return np.linalg.solve(self.covariances, off) @ off / len(off)
+        return np.linalg.solve(self.covariances, off[:, None])[..., 0] @ off / len(off)
 
     def _share_beyond(self, distances: FloatArray) -> float:
         return float(fdtrc(len(self.middle), self.freedom, distances).mean())
@@ -138,7 +138,7 @@ class EndRegion:
         """Factor by which a way from the centre, of squared distances (J,), reaches a level's boundary."""
         single = np.sqrt(fdtri(len(self.middle), self.freedom, level) / distances)
         low, high = float(single.min()), float(single.max())
-        if high - low <= 1e-9 * high:
+        if not high - low > 1e-9 * high:  # also where ends are not known
             return high
 
         def excess_share(reach: float) -> float:

@@ -52,7 +52,6 @@ from slipmap.models.settings import check_whole
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
 
-
 METHODS = ("gauss-newton", "paper")
 
 MOST_CELLS = 800

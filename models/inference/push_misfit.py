@@ -118,7 +118,7 @@ def rarity(
     """Probability of a rest pose or a force as unusual as the observed ones if nothing is missing.
 
     The smaller of both probabilities counts, twice because there are two (Bonferroni). The rest pose is
-    judged by its region alone, so that evidence and region cannot contradict each other.
+    judged by its region alone, so that no end that is usual for its region is rare as evidence.
 
     Args:
         region: of the rest pose, see `resting_region`.

@@ -45,7 +45,7 @@ class TrueObject:
     height: FloatArray  # (n,) of the object over each cell, m
     mesh: meshes.trimesh.Trimesh  # shape that cameras see, object frame, m, with a colour on each face
     colors: FloatArray  # (R, 4) red, green, blue, opacity of each region, 0 to 1
-    blocks: tuple[Block, ...]  # shape that a finger touches; together they cover the outline
+    blocks: tuple[Block, ...]  # shape that can be touched; together they cover the outline
 
     def __post_init__(self) -> None:
         n = len(self.grid)

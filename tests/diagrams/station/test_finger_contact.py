@@ -68,6 +68,20 @@ def test_normals_are_those_of_the_outline(name: str) -> None:
     assert checked > 300
 
 
+def test_blocks_that_touch_at_a_corner_have_walls_of_their_own() -> None:
+    blocks = tuple(Block(shapely.box(x, x, x + 0.05, x + 0.05), 0.02) for x in (0.0, 0.05))
+    ring = Block(shapely.box(0.2, 0.0, 0.3, 0.1).difference(shapely.box(0.23, 0.03, 0.27, 0.07)), 0.02)
+    thing = replace(benchmark_object("book"), blocks=(*blocks, ring))
+    walls = walls_of(thing, FOUR.clearance)
+    assert sum(wall.width() for _, wall in walls) == pytest.approx(2 * 0.2 + 0.4 + 0.16, abs=1e-4)
+    for X_OG, wall in walls:
+        inside, outside = (
+            shapely.Point((X_OG @ np.array([0.0, way * wall.depth(), 0.0]))[:2]) for way in (0.0, -1.0)
+        )
+        assert any(block.outline.contains(inside) for block in thing.blocks)
+        assert not any(block.outline.contains(outside) for block in thing.blocks)
+
+
 def test_walls_follow_the_outline_up_to_the_lower_block() -> None:
     """Two blocks side by side, of different heights, and a low one apart."""
     low = Block(shapely.box(0.0, 0.0, 0.1, 0.05), 0.01)

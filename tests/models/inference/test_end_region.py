@@ -71,6 +71,13 @@ def test_where_the_size_of_the_models_error_is_open_as_many_lie_inside_as_the_le
     assert np.mean([middle.holds(one[:1]) for one in off]) < 0.85
 
 
+def test_an_end_that_is_not_known_has_no_region() -> None:
+    draws = np.full((4, 1), np.nan)
+    region = EndRegion.of(draws, np.full(4, 0.25), np.array([1e-3]), np.array([[1e-3], [1e-2]]))
+    assert np.isnan(region.interval(0.9)).all() and np.isnan(region.excess(np.zeros(1)))
+    assert not region.holds(np.zeros(1))
+
+
 def test_the_interval_of_one_number_is_students() -> None:
     draws = np.random.default_rng(7).normal(size=(12, 1))
     low, high = EndRegion.of(draws, np.full(12, 1 / 12), np.zeros(1)).interval(0.9)
