@@ -84,10 +84,9 @@ def push_with_balls(
 def push_with_gripper(plant: MultibodyPlant, true_object: TrueObject, arm: Arm) -> None:
     """Let the closed gripper push with balls in place of its collars; see `push_with_balls`.
 
-    Collars pass through the object's blocks, and pins, which are thinner, grasp them. A finger that comes down
-    on the object is stopped by the pins, but a ball whose centre lies inside the outline, less than its radius
-    from a side, presses that side outwards: so a robot that misjudges the object's place is not simulated
-    rightly there.
+    Collars pass through the object's blocks, and pins, which are thinner, grasp them. A finger that comes
+    down on the object is stopped by the pins, but a ball whose centre lies inside the outline, less than its
+    radius from a side, presses that side outwards: what happens there is not what a real finger would do.
     """
     inspector = Parser(plant).scene_graph().model_inspector()
     contact = geometry.ProximityProperties()

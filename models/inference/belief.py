@@ -200,8 +200,8 @@ class Belief:
     def end_errors(self) -> FloatArray:
         """(J, 3) model error at the end of a push beyond the spread of the hypotheses: standard deviations of
         x, y (shares of the cells' travel) and θ (rad per metre of travel). The pushes leave open which of the
-        J values is right, and they are equally likely; the smallest for place goes with the smallest for angle,
-        and so on. Zero where not learned."""
+        J values is right, and they are equally likely; the smallest for place goes with the smallest for
+        angle, and so on. Zero where not learned."""
         # Files of earlier versions hold a single value.
         place, turn = np.reshape(self.settings.get(END_ERRORS, [0.0, 0.0]), (2, -1))
         return np.stack([place, place, turn / radius_of_gyration(self.grid)], axis=1)
