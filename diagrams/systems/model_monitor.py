@@ -13,7 +13,6 @@ from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import turned_to
 from slipmap.models.inference import push_misfit
-from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
 from slipmap.models.inference.summaries import middle_poses
@@ -45,7 +44,7 @@ class Judged:
 
     trial: int  # number of the push in the recording, from 0
     misfit: float  # see `slipmap.models.inference.push_misfit`
-    p: float  # see `push_misfit.rarity`; of a belief without `end_errors`, see `resting_misfit`
+    p: float  # probability of a misfit at least as large if no effect is missing
     evidence: float  # E after this push
     alarm: bool  # whether the alarm is on after this push
     error: float  # distance of the cells from the hypotheses' central pose (ADD), m
@@ -218,20 +217,19 @@ class ModelMonitor(PythonSystem):
         error = self._error_held if held else self._error
         observation = observe(trial, number)
         force = push_misfit.steady_force(observation)
-        forces = None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation))
         misfit, p = push_misfit.resting_misfit(
-            start, end, universes.poses, belief.probability, error, belief.grid, forces, taught=belief.taught
-        )
+            start, end, universes.poses, belief.probability, error, belief.grid,
+            None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
+            taught=belief.taught,
+        )  # fmt: skip
         effects = tuple(effect.name for effect in belief.slider.effects)
         same = not watch.judged or watch.judged[-1].effects == effects
+        before = max(watch.evidence, 1.0) if same else 1.0
+        evidence = before * push_misfit.bet(max(p, LEAST_P))
         region = push_misfit.resting_region(observation, universes.poses, belief, error, self._error.noise)
         seen = turned_to(end, region.middle[2])
         if held:  # its rotation is unknown
             seen[2] = region.middle[2]
-        if END_ERRORS in belief.settings:
-            p = push_misfit.rarity(region, seen, forces, belief.probability, error, taught=belief.taught)
-        before = max(watch.evidence, 1.0) if same else 1.0
-        evidence = before * push_misfit.bet(max(p, LEAST_P))
         middle = middle_poses(universes.poses, belief.probability, belief.grid)
         off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
         by_evidence = evidence >= 1.0 / LEVEL or (same and watch.alarm and evidence > 1.0)

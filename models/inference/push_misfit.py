@@ -100,52 +100,11 @@ def resting_misfit(
     # One row: the factors are standard deviations.
     sigma = whitening_factors(observation_of(push, mean[None]), error, grid)[:, 0, 0]
     if forces is not None:
-        of_force = _force_residual(forces, probability, error)
-        r, spread = np.concatenate([r, of_force[0]]), np.hstack([spread, of_force[1]])
-        sigma = np.append(sigma, of_force[2])
-    return _tested(r, spread, sigma, probability, taught)
-
-
-def rarity(
-    region: EndRegion,
-    observed: FloatArray,
-    forces: tuple[FloatArray, FloatArray] | None,
-    probability: FloatArray,
-    error: ErrorModel,
-    *,
-    taught: int,
-) -> float:
-    """Probability of a rest pose or a force as unusual as the observed ones if nothing is missing.
-
-    The smaller of both probabilities counts, twice because there are two (Bonferroni). The rest pose is
-    judged by its region alone, so that no end that is usual for its region is rare as evidence.
-
-    Args:
-        region: of the rest pose, see `resting_region`.
-        observed: (3,) rest pose.
-        forces, probability, error, taught: as in `resting_misfit`.
-    """
-    of_pose = region.rarity(observed)
-    if forces is None:
-        return of_pose
-    _, of_force = _tested(*_force_residual(forces, probability, error), probability, taught)
-    return min(1.0, 2.0 * min(of_pose, of_force))
-
-
-def _force_residual(
-    forces: tuple[FloatArray, FloatArray], probability: FloatArray, error: ErrorModel
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residual (2,) of the mean force, its scatter (K, 2) over the hypotheses, and its errors (2,), N."""
-    measured, every = forces
-    expected = probability @ every
-    sigma = np.hypot(error.force * np.hypot(*expected), error.noise.force)
-    return measured - expected, every - expected, np.full(2, sigma)
-
-
-def _tested(
-    r: FloatArray, spread: FloatArray, sigma: FloatArray, probability: FloatArray, taught: int
-) -> tuple[float, float]:
-    """Misfit of residuals (n,) with a scatter (K, n) of the hypotheses and errors (n,), and its p."""
+        measured, every = forces
+        expected = probability @ every
+        r = np.concatenate([r, measured - expected])
+        spread = np.hstack([spread, every - expected])
+        sigma = np.append(sigma, 2 * [np.hypot(error.force * np.hypot(*expected), error.noise.force)])
     covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
     n = len(r)

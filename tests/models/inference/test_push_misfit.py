@@ -9,7 +9,6 @@ import pytest
 import scipy.linalg
 
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_misfit import (
@@ -17,14 +16,12 @@ from slipmap.models.inference.push_misfit import (
     observation_of,
     pose_noise,
     predicted_steady_forces,
-    rarity,
     resting_misfit,
     steady_force,
     whitening_factors,
 )
 from slipmap.models.inference.residuals import centroid_tracks
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Smoothing
 from slipmap.planners.exploration import candidate_pushes
@@ -159,40 +156,6 @@ def test_a_force_that_no_hypothesis_tells_is_a_misfit_where_the_end_is_none() ->
     _, usual = resting_misfit(start, end, told, half, error, GRID, (np.array([2.2, 0.1]), forces))
     _, rare = resting_misfit(start, end, told, half, error, GRID, (np.array([2.9, 0.5]), forces))
     assert usual > 0.3 and rare < 1e-3
-
-
-def test_rarity_is_the_pose_regions_unless_the_force_is_rarer() -> None:
-    half = np.full(2, 0.5)
-    error = ErrorModel(ERROR.noise, ERROR.motion, 0.1)
-    forces = np.array([[2.0, 0.0], [2.1, 0.0]])
-    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), np.array([1e-3, 1e-3, 0.01]), np.full(3, 0.02))
-    near, far = np.array([1e-3, 0.0, 0.0]), np.array([0.15, 0.0, 0.0])
-    usual, unusual = np.array([2.05, 0.0]), np.array([2.9, 0.5])
-
-    def told(end: FloatArray, force: FloatArray | None) -> float:
-        return rarity(region, end, None if force is None else (force, forces), half, error, taught=0)
-
-    assert told(near, None) == region.rarity(near) > 0.9
-    assert told(near, usual) == 1.0 and told(near, unusual) < 1e-3
-    assert told(far, None) == region.rarity(far) < 0.05
-    assert told(far, usual) == pytest.approx(2.0 * told(far, None))
-
-
-def test_rarities_below_a_level_are_no_more_frequent_than_it_says() -> None:
-    """Ends and forces are off independently, as told."""
-    rng = np.random.default_rng(11)
-    sigma = np.array([1e-3, 1e-3, 0.01])
-    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), sigma)
-    forces, error = np.array([[2.0, 0.0]]), ErrorModel(ERROR.noise, ERROR.motion, 0.1)
-    found = [
-        rarity(
-            region, sigma * rng.standard_normal(3), (forces[0] + 0.2 * rng.standard_normal(2), forces),
-            np.ones(1), error, taught=0,
-        )
-        for _ in range(3000)
-    ]  # fmt: skip
-    for level in (0.01, 0.05, 0.2):
-        assert 0.6 * level < np.mean(np.array(found) < level) < 1.3 * level
 
 
 def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pushes: list[Push]) -> None:
