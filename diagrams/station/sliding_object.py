@@ -40,7 +40,7 @@ class Feet:
 
     places: FloatArray  # (f, 2) of a cell's feet, from its centre, in widths of a cell
     sink: float  # depth to which every foot sinks in under the load of its cell, m
-    clearance: float  # between the table and the blocks and walls, which table's edge and finger touch, m
+    clearance: float  # between the table and the blocks and walls above it, m
 
 
 FOUR = Feet(_FEET, SINK, 1e-4)
