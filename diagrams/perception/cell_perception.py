@@ -179,8 +179,9 @@ class _Eye:
         )
         looks = [outline_offsets(frame, view, seen, seen.first_pose, blocked) for frame in frames]
         rests = Rests((mean_offsets(looks),), seen.first_pose)
+        grid = sharpened(seen, rests.offsets, pixel_size(view))
         return _Memory(
-            observed, history, seen=seen, first=first, last_pose=seen.first_pose, rests=rests, grid=seen.grid
+            observed, history, seen=seen, first=first, last_pose=seen.first_pose, rests=rests, grid=grid
         )
 
 

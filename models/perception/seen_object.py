@@ -12,7 +12,8 @@ lines replace the points found this way. Two distortions of edges in a picture a
 
 One picture samples an edge at its pixels alone, so its lines are off by a quarter of a pixel. At each place
 where the object rests, they sample it anew. `sharpened` averages the offsets of the outline seen at all of
-these places. They are measured where the object starts to rise from the table, which no rounded top moves.
+these places, and fits the polygon whose blurred outline this is. Offsets are measured where the object starts
+to rise from the table, which no rounded top moves.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from slipmap.models.objects.images import border_middles, straightened, traced_o
 from slipmap.models.perception.edge_kernels import SPACING, Land, Shape
 from slipmap.models.perception.object_mask import Fault, HeightPicture, Heights, Mask
 from slipmap.models.perception.pinhole_camera import TablePlane, View, pixel_size
+from slipmap.models.perception.sharp_outline import sharp_ring
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _INSETS = np.array([1.0, 2.0, 3.0])  # pixels inside an edge; the largest height there is the edge's height
@@ -72,7 +74,8 @@ _LOW, _LOWEST_EDGES = (5e-3, 12e-3), 10.0  # percentile
 # far inside (m), over that root, gives the rim's: the median over so many points, at least a share of the
 # edge's height.
 _BESIDE_RIM, _RIM_POINTS, _LEAST_RIM = np.array([2e-3, 3e-3, 4e-3, 5e-3]), 31, 0.4
-_FINER = 0.3  # pixels; the half width of the strip for points averaged over several places
+_SEEN_BLUR = 1.1  # pixels; standard deviation of the blur of heights, a pixel's size and its smoothing
+_SCATTER = 0.18  # pixels by which the outline seen at one place deviates, standard deviation
 _LOOKS = 6  # pictures of the object at rest whose offsets are averaged; at least as many as start a trial
 _ELSEWHERE = np.array([2e-3, 2e-3, np.deg2rad(1.0)])  # m, m, rad; a place farther from the last is another
 _SEEN_WELL = 0.9  # of the points seen at the first look
@@ -299,22 +302,24 @@ def mean_offsets(looks: Sequence[FloatArray]) -> FloatArray:
 
 
 def sharpened(seen: SeenObject, offsets: Sequence[FloatArray], pixel: float) -> CellGrid:
-    """The object's cells with an outline improved by all places where the object rested.
+    """The object's cells with the outline, corners sharp, that all places where the object rested show.
 
     Args:
-        offsets: (m,) at each place, as in `Rests`; a single one improves nothing.
+        offsets: (m,) at each place, as in `Rests`; none leave the outline as it is.
         pixel: side of a pixel on the table, m.
     """
-    if len(offsets) < 2:
+    if not offsets:
         return seen.grid
     foot = seen.foot
     shift = np.clip(np.nan_to_num(mean_offsets(offsets)), -_FARTHEST * pixel, _FARTHEST * pixel)
     points = (foot.shape.points + shift[:, None] * foot.shape.normals) / pixel
     # Next to corners, points may have passed each other.
     rings = [_simple(Polygon(ring)).exterior for ring in np.split(points, np.cumsum(foot.sizes)[:-1])]
-    lines = [_cornered(np.array(ring.coords)[:-1], _FINER) for ring in rings]
-    polygon = _simple(_simple(Polygon(lines[0], lines[1:])).simplify(_STRAIGHT))
-    exterior, holes = rings_of(shapely.transform(polygon, lambda corners: corners * pixel))
+    noise = _SCATTER / np.sqrt(len(offsets))
+    lines = [sharp_ring(np.array(ring.coords)[:-1], _SEEN_BLUR, noise) for ring in rings]
+    exterior, holes = rings_of(
+        shapely.transform(_simple(Polygon(lines[0], lines[1:])), lambda corners: corners * pixel)
+    )
     return replace(seen.grid, exterior=exterior, holes=holes)
 
 
@@ -523,15 +528,12 @@ def _falls(
     return ((outside - inside) / _QUARTILES) ** 2, flank**2 / 12
 
 
-def _cornered(points: FloatArray, strip: float = _STRIP) -> LinearRing:
-    """The ring of straight lines fitted to points (m, 2), with the corners restored that blur has cut.
-
-    `strip` is the half width of the strip in which points count as a straight line, pixels.
-    """
+def _cornered(points: FloatArray) -> LinearRing:
+    """The ring of straight lines fitted to points (m, 2), with the corners restored that blur has cut."""
     polygon = Polygon(points)
     if not polygon.is_valid:
         return polygon.exterior
-    kept = polygon.simplify(strip)
+    kept = polygon.simplify(_STRIP)
     assert isinstance(kept, Polygon)
     corners = list(straightened(points, kept.exterior))
     passed = cKDTree(points)

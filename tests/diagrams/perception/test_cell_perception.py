@@ -54,7 +54,8 @@ def test_each_new_place_improves_the_outline_and_nothing_else(world):
     simulator = world.simulator(context)
     simulator.AdvanceTo((FRAMES + 10.75) * PERIOD)
     seen, grid = (world.output(context, name) for name in ("seen_object", "cell_grid"))
-    assert grid is seen.grid  # the same place again does not count
+    assert len(world.output(context, "rests").offsets) == 1  # the same place again does not count
+    assert grid is not seen.grid
     for place, pictures in (((0.09, 0.0, 0.65), 15.75), ((0.06, 0.02, 0.4), 30.75)):
         world.place(context, "hammer", place)
         simulator.AdvanceTo((FRAMES + pictures) * PERIOD)
