@@ -23,14 +23,12 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _ROOT = np.sqrt(2.0 * np.pi)
 _FINEST = 4.0  # noises; half the width of the strip in which points count as a straight side at first
-_ALIKE = 2.0 * np.sqrt(
-    np.pi
-)  # blurs; errors of blurred points are independent once per so much of the outline
-_PER_CORNER = 9.0  # by which a corner must lower the misfit to stay: two parameters among a hundred points
+_ALIKE = 2.0 * np.sqrt(np.pi)  # blurs; on so much of the outline, errors of points count as one
+_PER_CORNER = 5.0  # by which a corner must lower the misfit to stay
 _TENSION = 2.0  # misfit for which the outline becomes a pixel longer: a spike that blur hides is none
-_LOOSE = (
-    1.0  # standard deviation of a corner from where the fit began, pixels; keeps it from sliding along sides
-)
+# A corner stays near where its fit began, within a standard deviation of so many pixels: on a straight side,
+# nothing else holds it.
+_LOOSE = 1.0
 _STRAY = 1.0  # pixels; points farther off do not count
 _FARTHEST = 6.0  # pixels from a side to the corner that replaces it
 _PARALLEL = np.sin(np.deg2rad(10.0))
