@@ -24,7 +24,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 _ROOT = np.sqrt(2.0 * np.pi)
 _FINEST = 4.0  # noises; half the width of the strip in which points count as a straight side at first
 _ALIKE = 2.0 * np.sqrt(np.pi)  # blurs; on so much of the outline, errors of points count as one
-_PER_CORNER = 5.0  # by which a corner must lower the misfit to stay
+_PER_CORNER = 7.0  # by which a corner must lower the misfit to stay: two parameters times ln(30) points
 _TENSION = 2.0  # misfit for which the outline becomes a pixel longer: a spike that blur hides is none
 # A corner stays near where its fit began, within a standard deviation of so many pixels: on a straight side,
 # nothing else holds it.

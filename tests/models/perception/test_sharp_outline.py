@@ -94,7 +94,7 @@ def test_corners_that_blur_cut_come_out_sharp(corners):
         print(f"cut by {cut:.2f}, off by {far:.2f}, {rms:.3f} pixels, {len(ring.coords) - 1} corners")
         assert ring.is_ccw
         assert len(ring.coords) - 1 <= len(corners) + 1
-        assert far < 0.4
+        assert far < 0.25
         assert rms < 0.08
 
 
