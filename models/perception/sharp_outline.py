@@ -4,7 +4,8 @@ A picture smoothed with a Gaussian shows an edge where the blurred object has ha
 sides that is the edge itself, but it passes inside convex corners and outside concave ones: at 0.8 standard
 deviations from a square corner, at twice that from one of 45 degrees. `sharp_ring` inverts this. It fits a
 polygon whose blurred edge passes through the points seen, and merges corners as long as the misfit stays
-within noise. Square corners come out square, straight sides straight, and round ones as polygons.
+within noise. Square corners come out square, straight sides straight, and round ones as polygons, with twice
+as many corners if that explains the points better.
 
 The blurred polygon has a closed form. Seen from a point, a polygon is a sum of signed triangles, one for each
 side. The part of a wedge of angle phi that lies beyond a line at a distance h, at right angles to one side of
@@ -32,6 +33,7 @@ _LOOSE = 1.0
 _STRAY = 1.0  # pixels; points farther off do not count
 _FARTHEST = 6.0  # pixels from a side to the corner that replaces it
 _PARALLEL = np.sin(np.deg2rad(10.0))
+_GENTLE = np.deg2rad(50.0)  # an octagon's corners turn by 45
 _STEPS, _SETTLED = 4, 0.03  # of Gauss-Newton at most; pixels
 _NEAR = 4.0  # blurs from a side within which points see it
 _FEW = 6  # so many corners or fewer are fitted together
@@ -62,7 +64,8 @@ def sharp_ring(points: FloatArray, blur: float, noise: float) -> LinearRing:
     if not traced.exterior.is_ccw:
         corners = corners[::-1]
     weight = traced.length / len(points) / (_ALIKE * blur * noise**2)
-    return LinearRing(_Edge(points, blur, weight).merged(corners))
+    edge = _Edge(points, blur, weight)
+    return LinearRing(edge.curved(edge.merged(corners)))
 
 
 def blurred(points: FloatArray, chain: FloatArray, blur: float) -> tuple[FloatArray, FloatArray]:
@@ -132,6 +135,15 @@ class _Edge:
             ring = fewer if whole else _closed(np.concatenate([fewer, turned[k][6:]]))
         return ring[:-1]
 
+    def curved(self, corners: FloatArray) -> FloatArray:
+        """Corners (k, 2) with twice as many where gentle ones follow each other, if that explains more."""
+        rings = _closed(corners), self.fitted(self.points, _closed(_cut_where_gentle(corners)))
+        heights = (blurred(self.points, ring, self.blur)[0] for ring in rings)
+        costs = [
+            self.misfit(each) + _TENSION * _length(ring) for each, ring in zip(heights, rings, strict=True)
+        ]
+        return rings[int(np.argmin(costs))][:-1]
+
     def one_less(self, chain: FloatArray, height: FloatArray) -> tuple[float, FloatArray]:
         """Misfit added if the third side of a chain (k, 2) becomes a corner, and the fitted chain (k - 1, 2).
 
@@ -181,6 +193,19 @@ class _Edge:
 
 def _closed(corners: FloatArray) -> FloatArray:
     return np.vstack([corners, corners[:1]])
+
+
+def _cut_where_gentle(corners: FloatArray) -> FloatArray:
+    """Corners (k, 2) of which gentle ones in a row, turning the same way, are cut a quarter side away."""
+    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    length = np.linalg.norm(after, axis=1)
+    turn = np.arctan2(cross(before, after), np.sum(before * after, axis=1))
+    gentle = np.where(np.abs(turn) < _GENTLE, np.sign(turn), 0.0)
+    curve = (gentle * np.roll(gentle, -1) > 0.0) | (gentle * np.roll(gentle, 1) > 0.0)
+    cut = np.minimum(length, np.roll(length, 1)) / 4.0
+    back, on = -before / np.roll(length, 1)[:, None], after / length[:, None]
+    both = np.stack([corners + cut[:, None] * back, corners + cut[:, None] * on], axis=1)
+    return np.concatenate([both[k] if curve[k] else corners[k : k + 1] for k in range(len(corners))])
 
 
 def _meeting(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:

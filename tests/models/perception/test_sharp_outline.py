@@ -120,7 +120,12 @@ def test_round_corners_do_not_come_out_sharp(radius):
 def test_a_circle_stays_round():
     circle = ring_of(Point(0, 0).buffer(27, quad_segs=24))
     ring = sharp_ring(seen(circle, noise=0.08), BLUR, 0.08)
-    assert apart(ring, circle)[1] < 0.15
+    corners = np.array(ring.coords)
+    sides, middles = np.diff(corners, axis=0), (corners[1:] + corners[:-1]) / 2
+    tilt = np.sum(sides * middles, axis=1) / np.linalg.norm(sides, axis=1) / np.linalg.norm(middles, axis=1)
+    assert np.degrees(np.sqrt(np.mean(tilt**2))) < 1.5
+    assert len(sides) > 25
+    assert apart(ring, circle)[1] < 0.1
     assert abs(Polygon(ring).area / (np.pi * 27**2) - 1) < 0.005
 
 
