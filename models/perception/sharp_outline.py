@@ -2,7 +2,7 @@
 
 A picture smoothed with a Gaussian shows an edge where the blurred object has half its height. Along straight
 sides that is the edge itself, but it passes inside convex corners and outside concave ones: at 0.8 standard
-deviations from a square corner, at twice that from one of 45 degrees. `sharp_ring` inverts this. It fits a
+deviations from a square corner, at 1.7 from one of 45 degrees. `sharp_ring` inverts this. It fits a
 polygon whose blurred edge passes through the points seen, and merges corners as long as the misfit stays
 within noise. Square corners come out square, straight sides straight, and round ones as polygons, with twice
 as many corners if that explains the points better.
