@@ -63,8 +63,8 @@ class Scenarios:
     centers_of_mass: FloatArray  # (S, 2) object frame, m
     least_margins: FloatArray  # (S,) balance margin below which the object counts as falling, m
     noise: FloatArray  # (S, 3) error of the finger's path: x, y in m, angle about its start in rad
-    # (S, 3) model error: x, y (shares of the cells' path) and angle (rad per metre of path), drawn with the
-    # median of `Belief.end_errors`; zero if the belief has not learned those
+    # (S, 3) model error: x, y (shares of the cells' path) and angle (rad per metre of path), each drawn with
+    # one of `Belief.end_errors`; zero if the belief has not learned those
     drift: FloatArray
 
     @classmethod
@@ -80,9 +80,12 @@ class Scenarios:
         drift = np.zeros((len(hypothesis), 3))
         if belief.end_errors.any():
             # A separate generator, so that later draws from `rng` are the same with and without drift.
-            drift = np.random.default_rng(_DRIFTS).standard_normal(drift.shape)
+            draws = np.random.default_rng(_DRIFTS)
+            drift = draws.standard_normal(drift.shape)
             drift -= probability @ drift
-            drift *= np.median(belief.end_errors, axis=0) / np.maximum(np.sqrt(probability @ drift**2), 1e-9)
+            drift /= np.maximum(np.sqrt(probability @ drift**2), 1e-9)
+            size = belief.end_errors[draws.permutation(len(drift)) % len(belief.end_errors)]
+            drift = size * (drift - (probability @ (size * drift)) / np.maximum(probability @ size, 1e-12))
         return cls(
             belief.slider,
             belief.maps[hypothesis],

@@ -154,9 +154,9 @@ class _Edge:
         others = height[near] - blurred(points, chain, self.blur)[0]
         start = np.vstack([chain[:2], _meeting(chain[1], chain[2], chain[3], chain[4]), chain[4:]])
         fewer = self.fitted(points, start, others)
-        before, after = (others + blurred(points, one, self.blur)[0] for one in (chain, fewer))
+        after = others + blurred(points, fewer, self.blur)[0]
         longer = _length(fewer) - _length(chain)
-        return self.misfit(after) - self.misfit(before) + _TENSION * longer, fewer
+        return self.misfit(after) - self.misfit(height[near]) + _TENSION * longer, fewer
 
     def misfit(self, height: FloatArray) -> float:
         """Misfit of points at which the blurred polygon has shares (m,) of the height, instead of a half."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from slipmap.models.geometry import relative
 from slipmap.models.measurements.push_dataset import Table
@@ -153,6 +154,20 @@ def test_what_the_model_is_off_by_is_imagined_in_proportion_to_the_way():
     expected = way[..., None] * [0.1, 0.1, 0.05 / metric.radius]
     assert off.std(axis=2) == pytest.approx(expected, rel=1e-6)
     assert (wide.poses[:, -1].std(axis=1)[:, :2] > 1e-3).any()
+
+
+def test_all_plausible_sizes_of_the_models_error_are_imagined():
+    """As many ends lie within a distance as in regions of predicted ends, which average over the sizes."""
+    settings = PushSettings(candidates=6, scenarios=1000, position_noise=0.0, angle_noise=0.0)
+    sure = belief_about(THING, hypotheses=1)
+    sizes = [0.001, 0.01, 0.1]
+    doubtful = replace(sure, settings={**sure.settings, "end_errors": [sizes, sizes]})
+    drifting, _ = imagined(doubtful, settings)
+    assert np.abs(drifting.probability @ drifting.drift).max() < 1e-12
+    x = np.abs(drifting.drift[:, 0])
+    for limit in (0.002, 0.02, 0.2):
+        expected = np.mean([2 * norm.cdf(limit / size) - 1 for size in sizes])
+        assert np.mean(x < limit) == pytest.approx(expected, abs=0.04)
 
 
 def test_an_object_that_may_end_elsewhere_falls_more_often():
