@@ -38,6 +38,9 @@ FIXED_ROWS = _DIRECT + 3
 
 _BLOCK = FIXED_ROWS * LANES
 
+_SETTLED = 1e-40
+"""Derivatives of a resting object's twist below this, in units of each parameter, count as zero."""
+
 
 class Layout(NamedTuple):
     """Numbers of parameters of a Jacobian, by kind."""
@@ -191,6 +194,17 @@ def carry_direct(S, first, layout, state, minimum, pose, h):  # type: ignore[no-
             gy = block[lane + (_DIRECT + 1) * LANES]
             gw = block[lane + (_DIRECT + 2) * LANES]
             _advance(block, lane, A, minimum, pose, h, gx, gy, gw)
+
+
+@compiled()
+def twist_is_settled(S, layout):  # type: ignore[no-untyped-def]
+    """Whether the rows of the twist are too small to move any pose."""
+    size = (FIXED_ROWS + layout.memory) * LANES
+    largest = 0.0
+    for b in range(S.shape[0] // size):
+        for entry in range(b * size + 3 * LANES, b * size + STATE * LANES):
+            largest = max(largest, abs(S[entry]))
+    return largest < _SETTLED
 
 
 @compiled(fastmath={"contract"})

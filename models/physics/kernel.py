@@ -36,6 +36,7 @@ from slipmap.models.physics.blocks import (
     set_other_slopes,
     store_mass_rows,
     store_rows,
+    twist_is_settled,
 )
 from slipmap.models.physics.compiled import (
     address_of,
@@ -44,7 +45,7 @@ from slipmap.models.physics.compiled import (
     compiled,
     keep,
 )
-from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE
 from slipmap.models.physics.friction import AFTER, FINGER_SETTLING, FORCE, STATE
 from slipmap.models.physics.kernel_tools import (
     Common,
@@ -74,6 +75,7 @@ from slipmap.models.physics.slopes import (
 )
 from slipmap.models.physics.step import (
     MAX_EVALUATIONS,
+    REST,
     Applied,
     Frame,
     Step,
@@ -104,6 +106,7 @@ from slipmap.models.physics.terms import (
     at_work,
     carry_loads,
     effects_of,
+    is_pulled,
     model_of,
     remember,
     rim_under,
@@ -132,7 +135,9 @@ class Room(NamedTuple):
 
 
 @compiled(inline="always")
-def take_step(model, common, push, number, terms, motion, guess, contacts, derive):  # type: ignore[no-untyped-def]
+def take_step(  # type: ignore[no-untyped-def]
+    model, common, push, number, terms, motion, guess, contacts, derive, settled
+):
     """Solve one step; returns `Taken`.
 
     Args:
@@ -142,6 +147,7 @@ def take_step(model, common, push, number, terms, motion, guess, contacts, deriv
         guess: of the new twist.
         contacts: (MAX_CONTACTS, CONTACT_COLUMNS), filled in here.
         derive: whether derivatives are wanted.
+        settled: whether the step before was `at_rest`, and no derivative of the twist is left.
     """
     h, v, cos, sin, quarter = push.h, motion.v, motion.cos, motion.sin, motion.quarter
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
@@ -178,7 +184,7 @@ def take_step(model, common, push, number, terms, motion, guess, contacts, deriv
     second = contact_of(contacts, 1, frame, v, h, cone)
 
     step = Step(terms.cells, inertia, star, h, first, second, count, cone, model.size, v, quarter, frame)
-    new, minimum, evaluations = solve_step(step, guess, derive)
+    new, minimum, evaluations = solve_step(step, guess, derive, settled)
     impulse, way = finger_impulse(first, second, minimum), way_of(new, cos, sin, h)
     return Taken(
         v, h, inertia, cone, frame, quarter, first, second, new, minimum, free, applied, impulse, way,
@@ -220,6 +226,15 @@ def carry(effects, rim, S, layout, model, terms, taken, slopes):  # type: ignore
     set_other_slopes(S, layout, slopes.other)
     set_mass_slopes(rim, S, layout)
     carry_direct(S, first, layout, slopes.state, taken.minimum, pose, taken.h)
+
+
+@compiled(forceinline=True)
+def at_rest(taken, push, effects):  # type: ignore[no-untyped-def]
+    """Whether the object rests before and after a `Taken` step, untouched, for any parameters close by."""
+    first, second = taken.minimum.first, taken.minimum.second
+    untouched = first.state == SEPARATE and second.state == SEPARATE and push.wrench.shape[0] == 0
+    still = taken.v == REST and taken.new == REST
+    return still and untouched and not is_pulled(effects)
 
 
 @compiled(forceinline=True)
@@ -327,14 +342,14 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
     past = (v, v, v)
     weights = (1.0, 0.0, 0.0)
     evaluations = sample = force_sample = 0
-    failed = False
+    failed = settled = False
 
     for number in range(steps):
         here = supported(rim, model, motion, number * h)
         _note_samples(rim, sample, force_sample)
         terms = terms_at(effects, rim, here, motion, number, h)
         guess = weighted(weights, past)
-        taken = take_step(here, common, push, number, terms, motion, guess, contacts, derive)
+        taken = take_step(here, common, push, number, terms, motion, guess, contacts, derive, settled)
         new, way, frame = taken.new, taken.way, taken.frame
         weights = best_weights(new, past, size)
         past = (new, past[0], past[1])
@@ -343,6 +358,8 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
         impulse = turned(frame.cos, frame.sin, taken.impulse[0], taken.impulse[1])
         force = (impulse[0] / h, impulse[1] / h)
         following = _moved(motion, taken, h)
+        rests = at_rest(taken, push, effects)
+        steady, settled = rests and settled, rests and (settled or not derive)
 
         dx, dy, dtheta = way.length * way.wx, way.length * way.wy, h * new[2]
         first_sample = sample
@@ -373,11 +390,13 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
             now = at_work(rim, S, layout)
             if between or wants_force:
                 copy_into(at_work(rim, before, layout), now)
-            set_slopes(
-                effects, rim, inputs, here, layout, push, number, motion, terms, taken, slopes
-            )  # fmt: skip
-            carry(effects, rim, now, layout, here, terms, taken, slopes)
-            if wants_force:
+            if not steady:
+                set_slopes(
+                    effects, rim, inputs, here, layout, push, number, motion, terms, taken, slopes
+                )  # fmt: skip
+                carry(effects, rim, now, layout, here, terms, taken, slopes)
+                settled = rests and twist_is_settled(now, layout)
+            if wants_force and not (steady and remembers):
                 fill_force(F, now, before, layout, slopes, frame, force, h)
             for s in range(first_sample, sample):
                 share = _sample_place(push, s, delay)[1]

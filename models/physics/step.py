@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import (
+    SEPARATE,
     Cone,
     Contact,
     find_contacts,
@@ -32,6 +33,7 @@ from slipmap.models.physics.contact import (
 )
 from slipmap.models.physics.kernel_tools import Turn, joined, turn_by, turned
 from slipmap.models.physics.newton import (
+    Impulse,
     Minimum,
     minimum_of,
     slope_along,
@@ -51,7 +53,8 @@ _CONTACT_MARGIN = 1e-3
 # Newton stops when the remaining error is below this speed, m/s, rotation counted at the object's radius.
 _VELOCITY_TOLERANCE = 1e-14
 # Speeds below this are set to zero, m/s: subnormal numbers slow a processor down a hundredfold.
-_REST = 1e-60
+_SLOWEST = 1e-60
+REST = (0.0, 0.0, 0.0)
 # Relative error allowed in the Hessian from which derivatives follow.
 _HESSIAN_TOLERANCE = 1e-8
 
@@ -280,7 +283,7 @@ def _change_of_hessian(minimum, bend, d, h, size):  # type: ignore[no-untyped-de
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
+def solve_step(step, start, exact_hessian, settled):  # type: ignore[no-untyped-def]
     """`Solution` of a step: the minimum of its function.
 
     Newton's method on the smooth part, with exact contact in every iteration (`solve_with_contacts`).
@@ -291,7 +294,11 @@ def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
         step: `Step`.
         start: guess of the new twist.
         exact_hessian: whether the inverse Hessian must be the one at the solution.
+        settled: whether an object that stays at rest needs no inverse Hessian.
     """
+    if settled and step.contacts == 0 and start == REST and step.star == REST:
+        none = Impulse(SEPARATE, 0.0, 0.0)
+        return Solution(start, Minimum(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, none, none), 0)
     size = step.size
     v = start
     model, bend = _smooth_part(step, v)
@@ -322,8 +329,8 @@ def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
         model = with_contact(model, step.first, step.cone, impulse1.state, 0.0, 0.0)
         model = with_contact(model, step.second, step.cone, impulse2.state, 0.0, 0.0)
         minimum = minimum_of(model, impulse1, impulse2)
-    if _size_of(trial, size) < _REST:
-        trial = (0.0, 0.0, 0.0)
+    if _size_of(trial, size) < _SLOWEST:
+        trial = REST
     return Solution(trial, minimum, evaluations)
 
 
@@ -349,7 +356,7 @@ def _bracketed(step, v, d, slope, high_slope, evaluations, try_rest):  # type: i
         The twist, the smooth model there and the bound on its change, and the number of evaluations.
     """
     if try_rest:
-        rest = (0.0, 0.0, 0.0)
+        rest = REST
         model, bend = _smooth_part(step, rest)
         evaluations += 1
         minimum = solve_with_contacts(model, rest, step.first, step.second, step.contacts, step.cone)

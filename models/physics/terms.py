@@ -350,6 +350,12 @@ terms_at = without_or_with(_plain_terms, _changed_terms)
 
 
 @compiled(forceinline=True)
+def is_pulled(effects):  # type: ignore[no-untyped-def]
+    """Whether effects would pull at a resting object if their parameters were slightly different."""
+    return effects is not None and effects.dout[:INERTIA_FACTOR].any()
+
+
+@compiled(forceinline=True)
 def add_rim_slopes(rim, effects, motion, terms, taken, slopes):  # type: ignore[no-untyped-def]
     """Add the contribution of shifting loads to the `Slopes` of a `Taken` step."""
     if rim is None:

@@ -16,7 +16,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import beside_slope, effect_prior
 from slipmap.models.inference.hypotheses import trusting
-from slipmap.models.inference.identification import fit, identify
+from slipmap.models.inference.identification import identify
 from slipmap.models.inference.mixture import (
     LEAST_SHARE,
     Explanation,
@@ -165,8 +165,8 @@ def on_a_slope(recorded, **options) -> PushDataset:  # type: ignore[no-untyped-d
 def test_a_slope_shifts_load_where_the_height_of_the_finger_is_stated(recorded) -> None:  # type: ignore[no-untyped-def]
     """Without the heights the slope is sure and wrong."""
     level = on_a_slope(recorded)
-    stated = fit(replace(level, finger_height=0.004), ["table_tilt"], hypotheses=20).effect_estimates
-    unstated = fit(level, ["table_tilt"], hypotheses=20).effect_estimates
+    stated = identify(replace(level, finger_height=0.004), ["table_tilt"]).effect_estimates
+    unstated = identify(level, ["table_tilt"]).effect_estimates
 
     def holds(slope) -> bool:  # type: ignore[no-untyped-def]
         return all(slope[key]["low"] <= true <= slope[key]["high"] for key, true in SLOPE.items())

@@ -14,7 +14,7 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.several import fit_together
-from slipmap.models.inference.identification import fit, identify, spread_out, with_fewer_cells
+from slipmap.models.inference.identification import identify, spread_out, with_fewer_cells
 from slipmap.models.inference.observations import to_learn_from
 from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, slider_for
@@ -123,7 +123,7 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     dataset = record_pushes(slider, tilted, pushes, rng, heldout=3, mass=recorded.dataset.mass)
     fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=150))
     monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 50)
-    fitted = fit(fine, ["table_tilt"], hypotheses=2)
+    fitted = identify(fine, ["table_tilt"], hypotheses=2)
     assert len(fitted.belief.grid) == len(fine.grid)
     assert fitted.effect_estimates["table_tilt"]["down_x"]["value"] == pytest.approx(0.08, rel=0.1)
     found = telling_push.diagnose(

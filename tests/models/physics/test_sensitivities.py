@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,8 @@ from sliding_objects import (
     with_start,
 )
 
+from slipmap.models.effects.effect import Effect, Parameter
+from slipmap.models.effects.symbols import smooth_step
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
@@ -309,3 +312,31 @@ class TestKinks:
             analytic, at = by_friction(mu_finger)
             numeric = self.one_sided(slider, push, at, column, step)[0]
             assert analytic[0] == pytest.approx(numeric, abs=1e-5 * jump)
+
+
+class Gust(Effect):
+    """Pulls only after three seconds."""
+
+    name = "gust"
+    sentence = "Wind."
+    parameters = (Parameter("size", "N", "of the force", -5.0, 5.0, 0.2, 0.0),)
+
+    def force(self, body: Any, p: Any) -> Any:
+        return p.size * smooth_step(body.time - 3.0, 0.01), 0, 0
+
+
+@pytest.mark.parametrize("effect", [None, "table_tilt", "load_transfer", "skate", Gust()], ids=str)
+def test_rest_is_skipped_without_a_trace(effect: Effect | str | None) -> None:
+    away = np.tile([-0.2, 0.0], (100, 1))
+    pushed = from_the_left(0.01, 0.7, 2e-4)
+    push = finger_push(np.vstack([away, pushed.tip, away, pushed.tip[-20:], away]), H, start_pose=START)
+    # Applied forces, though zero, are reason enough to solve each step.
+    solved = replace(push, wrench=np.zeros((len(push.tip) - 1, 5)))
+    slider = Slider(BLOCK, FINGER_RADIUS, effects=[] if effect is None else [effect])
+    maps = CASES["sliding"].maps
+    skipping, thorough = (slider.rollout(maps, [one], sensitivities=True) for one in (push, solved))
+    for name in ("poses", "forces", "end", "d_poses", "d_forces"):
+        own, wanted = getattr(skipping, name), getattr(thorough, name)
+        np.testing.assert_allclose(own, wanted, rtol=0, atol=1e-13 * max(1.0, np.abs(wanted).max()))
+    fewer = thorough.evaluations - skipping.evaluations
+    assert fewer.item() > 150 if effect != "table_tilt" else fewer.item() == 0
