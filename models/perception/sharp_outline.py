@@ -63,7 +63,7 @@ def sharp_ring(points: FloatArray, blur: float, noise: float) -> LinearRing:
     corners = np.array(traced.simplify(_FINEST * noise).exterior.coords)[:-1]
     if not traced.exterior.is_ccw:
         corners = corners[::-1]
-    weight = traced.length / len(points) / (_ALIKE * blur * noise**2)
+    weight = min(traced.length / len(points) / (_ALIKE * blur), 1.0) / noise**2
     edge = _Edge(points, blur, weight)
     return LinearRing(edge.curved(edge.merged(corners)))
 
