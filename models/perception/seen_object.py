@@ -317,9 +317,9 @@ def sharpened(seen: SeenObject, offsets: Sequence[FloatArray], pixel: float) -> 
     rings = [_simple(Polygon(ring)).exterior for ring in np.split(points, np.cumsum(foot.sizes)[:-1])]
     noise = _SCATTER / np.sqrt(len(offsets))
     lines = [sharp_ring(np.array(ring.coords)[:-1], _SEEN_BLUR, noise) for ring in rings]
-    exterior, holes = rings_of(
-        shapely.transform(_simple(Polygon(lines[0], lines[1:])), lambda corners: corners * pixel)
-    )
+    polygon = _simple(Polygon(lines[0], lines[1:]))
+    # Whole micrometres are the same on every processor.
+    exterior, holes = rings_of(shapely.transform(polygon, lambda corners: np.round(corners * pixel, 6)))
     return replace(seen.grid, exterior=exterior, holes=holes)
 
 
