@@ -16,8 +16,9 @@ of the Gaussian along the sides.
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from scipy.special import ndtr, owens_t
-from shapely.geometry import LinearRing, Polygon
+from shapely.geometry import LinearRing, LineString, Polygon
 
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import FloatArray
@@ -110,6 +111,7 @@ class _Edge:
 
     def __init__(self, points: FloatArray, blur: float, weight: float) -> None:
         self.points, self.blur, self.weight = points, blur, weight
+        self.places = shapely.points(points)
         self.scale = _ROOT * blur  # from a share of the height to pixels across a straight edge
 
     def merged(self, corners: FloatArray) -> FloatArray:
@@ -140,7 +142,8 @@ class _Edge:
         rings = _closed(corners), self.fitted(self.points, _closed(_cut_where_gentle(corners)))
         heights = (blurred(self.points, ring, self.blur)[0] for ring in rings)
         costs = [
-            self.misfit(each) + _TENSION * _length(ring) for each, ring in zip(heights, rings, strict=True)
+            self.misfit(each) + _TENSION * LineString(ring).length
+            for each, ring in zip(heights, rings, strict=True)
         ]
         return rings[int(np.argmin(costs))][:-1]
 
@@ -149,13 +152,14 @@ class _Edge:
 
         `height` (m,) is the share that the whole polygon has at the points.
         """
-        near = _distances(self.points, chain).min(axis=1) < _NEAR * self.blur
+        line = LineString(chain)
+        near = shapely.distance(line, self.places) < _NEAR * self.blur
         points = self.points[near]
         others = height[near] - blurred(points, chain, self.blur)[0]
         start = np.vstack([chain[:2], _meeting(chain[1], chain[2], chain[3], chain[4]), chain[4:]])
         fewer = self.fitted(points, start, others)
         after = others + blurred(points, fewer, self.blur)[0]
-        longer = _length(fewer) - _length(chain)
+        longer = LineString(fewer).length - line.length
         return self.misfit(after) - self.misfit(height[near]) + _TENSION * longer, fewer
 
     def misfit(self, height: FloatArray) -> float:
@@ -217,15 +221,3 @@ def _meeting(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> Floa
         if min(np.linalg.norm(corner - b), np.linalg.norm(corner - c)) < _FARTHEST:
             return corner
     return (b + c) / 2
-
-
-def _length(chain: FloatArray) -> float:
-    return float(np.sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
-
-
-def _distances(points: FloatArray, chain: FloatArray) -> FloatArray:
-    """(m, k - 1) distances of points (m, 2) from the sides of a chain (k, 2)."""
-    sides = np.diff(chain, axis=0)
-    from_start = points[:, None] - chain[:-1]
-    share = np.clip(np.sum(from_start * sides, axis=-1) / np.sum(sides**2, axis=1), 0.0, 1.0)
-    return np.linalg.norm(from_start - share[..., None] * sides, axis=-1)
