@@ -25,6 +25,7 @@ from numba._dispatcher import compute_fingerprint
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.cgutils import if_unlikely
 from numba.core.errors import TypingError
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic, overload
 
 # Read when the first parallel kernel runs. Threads without work would otherwise keep their cores busy: an
@@ -66,16 +67,29 @@ class _Cache(FunctionCache):
     _impl_class = _KeptByText
 
 
+class _Inlined(CPUDispatcher):
+    """A function that only other compiled functions can call."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__} is inlined into kernels; for Python it is its `py_func`")
+
+
 def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compile on first call and keep the result; options are Numba's.
+    """Decorator: compile on first call and keep the result; options are Numba's. Python cannot call what is
+    inlined.
 
     Args:
         folder: where the result is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.
     """
     options["no_cfunc_wrapper"] = True  # nothing in C calls kernels
+    inlined = "forceinline" in options or "inline" in options
+    # A wrapper for calls from Python takes a fifth of the time of compiling.
+    options["no_cpython_wrapper"] = inlined
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(error_model="numpy", **options)(function)
+        if inlined:
+            dispatcher.__class__ = _Inlined
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:

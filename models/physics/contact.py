@@ -281,10 +281,14 @@ def gap(points: np.ndarray, radius: float, edges: np.ndarray) -> np.ndarray:
     Returns:
         (k,) gaps.
     """
-    points = np.asarray(points, dtype=float)
+    return _gaps(np.asarray(points, dtype=float), radius, edges)
+
+
+@compiled()
+def _gaps(points, radius, edges):  # type: ignore[no-untyped-def]
     result = np.empty(len(points))
     contacts = np.empty((MAX_CONTACTS, CONTACT_COLUMNS))
-    for k, (x, y) in enumerate(points):
-        find_contacts(x, y, radius, math.inf, edges, contacts)
+    for k in range(len(points)):
+        find_contacts(points[k, 0], points[k, 1], radius, math.inf, edges, contacts)
         result[k] = contacts[0, 4]
     return result

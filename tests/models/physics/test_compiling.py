@@ -43,6 +43,22 @@ def test_a_call_by_address_of_other_kinds_is_refused():
         add_by_address(address, np.zeros(2, dtype=np.int64), 0.5)
 
 
+@compiled(forceinline=True)
+def doubled(value):
+    return 2.0 * value
+
+
+@compiled()
+def four_times(value):
+    return doubled(doubled(value))
+
+
+def test_an_inlined_function_can_be_called_from_kernels_alone():
+    assert four_times(1.5) == 6.0
+    with pytest.raises(TypeError, match="doubled is inlined into kernels"):
+        doubled(1.5)
+
+
 def test_arrays_that_must_not_be_written_do_not_compile_the_kernel_again():
     grid = rectangle(5, 3)
     maps = random_maps(np.random.default_rng(0), len(grid))
