@@ -20,7 +20,7 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
 from slipmap.diagrams.station.arm import Arm
-from slipmap.diagrams.station.sliding_object import BODY, FINGER_FRICTION, FOUR, Feet, side_contact
+from slipmap.diagrams.station.sliding_object import BODY, CLEARANCE, FINGER_FRICTION, side_contact
 from slipmap.models.objects.footprints import without_scan_noise
 from slipmap.models.objects.true_object import TrueObject
 
@@ -40,7 +40,6 @@ def push_with_balls(
     contact: geometry.ProximityProperties,
     *,
     instead_of: Sequence[geometry.GeometryId] = (),
-    feet: Feet = FOUR,
 ) -> None:
     """Let the object be pushed by balls at its walls; the last step before the plant is finalized.
 
@@ -51,7 +50,6 @@ def push_with_balls(
         radius: of the balls, m.
         contact: stiffness of the balls if any, and a friction coefficient of `FINGER_FRICTION`.
         instead_of: the finger's shapes that no longer touch the object's blocks.
-        feet: on which the object stands.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach.
@@ -67,7 +65,7 @@ def push_with_balls(
     own = side_contact(true_object, -float(plant.gravity_field().gravity_vector()[2]))
     walls = [
         plant.RegisterCollisionGeometry(body, X_OG, wall, f"wall_{index}", own)
-        for index, (X_OG, wall) in enumerate(walls_of(true_object, feet.clearance))
+        for index, (X_OG, wall) in enumerate(walls_of(true_object))
     ]
     tips = [
         plant.RegisterCollisionGeometry(
@@ -102,9 +100,9 @@ def push_with_gripper(plant: MultibodyPlant, true_object: TrueObject, arm: Arm) 
     push_with_balls(plant, true_object, balls, arm.finger_radius, contact, instead_of=collars)
 
 
-def walls_of(true_object: TrueObject, clearance: float) -> list[tuple[RigidTransform, geometry.Box]]:
-    """A thin upright box inside each side of the outline, from a clearance (m) above the table to the lowest
-    height of the blocks there."""
+def walls_of(true_object: TrueObject) -> list[tuple[RigidTransform, geometry.Box]]:
+    """A thin upright box inside each side of the outline, from the blocks' lower end to the lowest height of
+    the blocks there."""
     outlines = [block.outline.buffer(_SEAM, join_style="mitre") for block in true_object.blocks]
     whole = shapely.union_all(outlines).buffer(-_SEAM, join_style="mitre")
     walls = []
@@ -126,6 +124,6 @@ def walls_of(true_object: TrueObject, clearance: float) -> list[tuple[RigidTrans
             inward = np.array([-along[1], along[0]])
             middle = 0.5 * (start + end) + 0.5 * _THICKNESS * inward
             axes = np.column_stack([[*along, 0.0], [*inward, 0.0], [0.0, 0.0, 1.0]])
-            X_OG = RigidTransform(RotationMatrix(axes), [*middle, 0.5 * (clearance + height)])
-            walls.append((X_OG, geometry.Box(length, _THICKNESS, height - clearance)))
+            X_OG = RigidTransform(RotationMatrix(axes), [*middle, 0.5 * (CLEARANCE + height)])
+            walls.append((X_OG, geometry.Box(length, _THICKNESS, height - CLEARANCE)))
     return walls

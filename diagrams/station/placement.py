@@ -15,7 +15,7 @@ from slipmap.diagrams.perception.cell_perception import FRAMES
 from slipmap.diagrams.perception.sight import ArmHulls, view_from
 from slipmap.diagrams.station.arm import HOME, lone_arm
 from slipmap.diagrams.station.hidden_effects import tether_pull, tilted_gravity
-from slipmap.diagrams.station.sliding_object import FOUR, foot_frictions, side_contact
+from slipmap.diagrams.station.sliding_object import FEET, foot_frictions, side_contact
 from slipmap.models.geometry import turn
 from slipmap.models.objects.meshes import DOUBTFUL_EXTENT
 from slipmap.models.objects.true_object import TrueObject
@@ -71,10 +71,10 @@ def check_rest(scenario: "Scenario", thing: TrueObject) -> None:
     gravity = tilted_gravity(tilt, scenario.gravity)
     slide = thing.total_mass * gravity[:2]
     center = thing.center_of_mass[:2]
-    feet = thing.grid.centers[:, None] + thing.grid.width * FOUR.places
+    feet = thing.grid.centers[:, None] + thing.grid.width * FEET
     lever = tied - rotation @ center
     share = _share_held(
-        np.repeat(-gravity[2] * thing.mass * thing.mu / len(FOUR.places), len(FOUR.places)),
+        np.repeat(-gravity[2] * thing.mass * thing.mu / len(FEET), len(FEET)),
         (feet.reshape(-1, 2) - center) @ rotation.T,
         pull + slide,
         float(lever[0] * pull[1] - lever[1] * pull[0]),

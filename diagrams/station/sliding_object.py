@@ -1,6 +1,5 @@
 """The true object in Drake: one rigid body on many small feet, each with its own friction."""
 
-from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +21,15 @@ BODY = "object"  # name of the body and of the model instance's only link
 DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
-SINK = 2e-6  # depth to which every foot sinks in under the load of its cell, m
+SINK = 2e-7
+"""Depth to which every foot sinks in under the load of its cell, m.
+
+Cells at the rim of a table may carry hundreds of times their weight. On softer feet an object leans there on
+its blocks, which have the finger's friction. On stiff feet it must be touched at one height: what rocks meets
+the wrong friction, as `lagged` contact computes it from the loads of the step before.
+"""
+
+CLEARANCE = 1e-4  # between the table and the blocks and walls above it, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _TABLE_STIFFNESS = 1e8  # N/m
@@ -31,30 +38,9 @@ _DISSIPATION = 20.0  # s/m
 # Four points on the diagonals at this distance from the centre (in cell widths) resist spinning like the
 # whole square: the mean distance of a square's points from its centre, (√2 + ln(1 + √2)) / 6.
 _FOOT_DISTANCE = (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6
-_FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
-
-
-@dataclass(frozen=True, eq=False)
-class Feet:
-    """How the cells of an object stand on the table."""
-
-    places: FloatArray  # (f, 2) of a cell's feet, from its centre, in widths of a cell
-    sink: float  # depth to which every foot sinks in under the load of its cell, m
-    clearance: float  # between the table and the blocks and walls above it, m
-
-
-FOUR = Feet(_FEET, SINK, 1e-4)
-"""The station's feet, on which every cell resists spinning.
-
-Cells at the rim of a table may carry hundreds of times their weight. On softer feet an object leans there on
-its blocks, which have the finger's friction. With higher blocks it leans more where its centre of mass
-is between the last row of feet and the table's edge: until a block meets that edge. On stiff feet an object
-must be touched at one height: what rocks meets the wrong friction, as `lagged` contact computes it from the
-loads of the step before.
-"""
-
-ONE = Feet(np.zeros((1, 2)), SINK, 3e-4)
-"""The campaigns' feet, one for each cell. Much faster, but a single cell does not resist spinning."""
+FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
+"""(f, 2) places of a cell's feet, from its centre, in widths of a cell. With fewer, an object whose centre of
+mass is between the last row of feet and the table's edge leans on its blocks at that edge."""
 
 
 def plant_config(time_step: float) -> MultibodyPlantConfig:
@@ -135,11 +121,7 @@ def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafS
 
 
 def add_sliding_object(
-    plant: MultibodyPlant,
-    true_object: TrueObject,
-    table_friction: float,
-    *,
-    feet: Feet = FOUR,
+    plant: MultibodyPlant, true_object: TrueObject, table_friction: float
 ) -> ModelInstanceIndex:
     """Add an object to the plant as a free body named "object", in a model instance of that name.
 
@@ -153,7 +135,6 @@ def add_sliding_object(
         plant: registered with a scene graph, not finalized, with any round table already in it; see
             `plant_config`. Its gravity determines the stiffness of the feet.
         table_friction: of the table's own geometry (`table_contact`).
-        feet: on which it stands.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
@@ -165,9 +146,9 @@ def add_sliding_object(
     side = side_contact(true_object, gravity)
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
-        wanted = mass * gravity / len(feet.places) / feet.sink
+        wanted = mass * gravity / len(FEET) / SINK
         contact = _contact(wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted), foot_mu[cell])
-        for foot, place in enumerate(center + grid.width * feet.places):
+        for foot, place in enumerate(center + grid.width * FEET):
             X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
             name_of_foot = f"cell_{cell}_foot_{foot}"
             foot_shapes.append(
@@ -175,7 +156,7 @@ def add_sliding_object(
                     body, X_OF, geometry.Sphere(_FOOT_RADIUS), name_of_foot, contact
                 )
             )
-    for index, points in enumerate(_block_corners(true_object, feet.clearance)):
+    for index, points in enumerate(_block_corners(true_object)):
         shape = geometry.Convex(points=points, label=f"{true_object.name} block {index}")
         block_shapes.append(
             plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", side)
@@ -183,13 +164,13 @@ def add_sliding_object(
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
         plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
-    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0, sink=feet.sink))
+    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0))
     return instance
 
 
-def resting_pose(x: float, y: float, angle: float, *, sink: float = SINK) -> RigidTransform:
+def resting_pose(x: float, y: float, angle: float) -> RigidTransform:
     """X_WO of an object at rest on a level table: all feet carry their load, nothing moves."""
-    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -sink]))
+    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -SINK]))
 
 
 def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
@@ -222,12 +203,12 @@ def _share_round_table(
     Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
 
 
-def _block_corners(true_object: TrueObject, clearance: float) -> list[FloatArray]:
+def _block_corners(true_object: TrueObject) -> list[FloatArray]:
     result = []
     for block in true_object.blocks:
         for piece in convex_pieces(without_scan_noise(block.outline)):
             ring = np.asarray(piece.exterior.coords)[:-1].T
-            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (clearance, block.height)]
+            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (CLEARANCE, block.height)]
             result.append(np.hstack(ends))
     return result
 

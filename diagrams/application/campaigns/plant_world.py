@@ -28,7 +28,6 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS
 
 TIME_STEP = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
-_FEET = sliding_object.ONE
 _TOUCHED_AT = 2.5e-3  # m above the table, where the finger touches
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two checks whether the object rests or is lost
@@ -65,7 +64,7 @@ class PlantWorld(DirectWorld):
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
-        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, feet=_FEET)
+        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION)
         self._finger = _add_finger(plant, true_object)
         plant.Finalize()
         if hidden is not None:
@@ -94,7 +93,7 @@ class PlantWorld(DirectWorld):
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
         x, y, angle = pose
-        X_WO = sliding_object.resting_pose(x, y, angle, sink=_FEET.sink)
+        X_WO = sliding_object.resting_pose(x, y, angle)
         self._plant.SetFreeBodyPose(self._context, self._body, X_WO)
         self._take_finger_away()
 
@@ -172,7 +171,7 @@ def _add_finger(plant: MultibodyPlant, true_object: TrueObject) -> tree.ModelIns
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
     balls = [(finger, np.array([0.0, 0.0, _TOUCHED_AT]))]
-    push_with_balls(plant, true_object, balls, FINGER_RADIUS, contact, feet=_FEET)
+    push_with_balls(plant, true_object, balls, FINGER_RADIUS, contact)
     return instance
 
 

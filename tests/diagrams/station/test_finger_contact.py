@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from slipmap.diagrams.station.finger_contact import walls_of
-from slipmap.diagrams.station.sliding_object import FOUR
+from slipmap.diagrams.station.sliding_object import CLEARANCE
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.footprints import without_scan_noise
 from slipmap.models.objects.true_object import Block, TrueObject
@@ -72,7 +72,7 @@ def test_blocks_that_touch_at_a_corner_have_walls_of_their_own() -> None:
     blocks = tuple(Block(shapely.box(x, x, x + 0.05, x + 0.05), 0.02) for x in (0.0, 0.05))
     ring = Block(shapely.box(0.2, 0.0, 0.3, 0.1).difference(shapely.box(0.23, 0.03, 0.27, 0.07)), 0.02)
     thing = replace(benchmark_object("book"), blocks=(*blocks, ring))
-    walls = walls_of(thing, FOUR.clearance)
+    walls = walls_of(thing)
     assert sum(wall.width() for _, wall in walls) == pytest.approx(2 * 0.2 + 0.4 + 0.16, abs=1e-4)
     for X_OG, wall in walls:
         inside, outside = (
@@ -89,14 +89,14 @@ def test_walls_follow_the_outline_up_to_the_lower_block() -> None:
     thing = replace(
         benchmark_object("book"), blocks=(low, high, Block(shapely.box(0.2, 0.0, 0.3, 0.1), 0.02))
     )
-    walls = walls_of(thing, FOUR.clearance)
+    walls = walls_of(thing)
     assert len(walls) == 8, "none between blocks, and one along a side that two share"
     length = sum(wall.width() for _, wall in walls)
     assert length == pytest.approx(2 * (0.15 + 0.05) + 4 * 0.1, abs=1e-5)
     for X_OG, wall in walls:
         x, y, z = X_OG.translation()
         bottom, top = z - 0.5 * wall.height(), z + 0.5 * wall.height()
-        assert bottom == pytest.approx(FOUR.clearance)
+        assert bottom == pytest.approx(CLEARANCE)
         assert top == pytest.approx(0.02 if x > 0.19 else 0.03 if x > 0.14 else 0.01)
         outside = X_OG @ np.array([0.0, -wall.depth(), 0.0])
         assert not any(block.outline.contains(shapely.Point(outside[:2])) for block in thing.blocks)
