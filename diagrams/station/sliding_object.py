@@ -21,13 +21,8 @@ BODY = "object"  # name of the body and of the model instance's only link
 DISC = "disc"  # name of the body with the surface of a round table that feet touch; see `add_table`
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
-SINK = 2e-7
-"""Depth to which every foot sinks in under the load of its cell, m.
-
-Cells at the rim of a table may carry hundreds of times their weight. On softer feet an object leans there on
-its blocks, which have the finger's friction. On stiff feet it must be touched at one height: what rocks meets
-the wrong friction, as `lagged` contact computes it from the loads of the step before.
-"""
+_SINK = 4e-6
+"""Depth to which a foot of the lightest cell sinks in under the weight of a mean cell, m; see `sink_of`."""
 
 CLEARANCE = 1e-4  # between the table and the blocks and walls above it, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
@@ -144,9 +139,10 @@ def add_sliding_object(
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
     grid, gravity = true_object.grid, -float(plant.gravity_field().gravity_vector()[2])
     side = side_contact(true_object, gravity)
+    sink = sink_of(true_object)
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
-        wanted = mass * gravity / len(FEET) / SINK
+        wanted = mass * gravity / len(FEET) / sink
         contact = _contact(wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted), foot_mu[cell])
         for foot, place in enumerate(center + grid.width * FEET):
             X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
@@ -164,13 +160,25 @@ def add_sliding_object(
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
         plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
-    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0))
+    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0, sink=sink))
     return instance
 
 
-def resting_pose(x: float, y: float, angle: float) -> RigidTransform:
-    """X_WO of an object at rest on a level table: all feet carry their load, nothing moves."""
-    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -SINK]))
+def sink_of(true_object: TrueObject) -> float:
+    """Depth to which every foot sinks in under the load of its own cell, m.
+
+    At the rim of a table light cells may carry hundreds of times their weight. Where they sink in far, an
+    object leans there on its blocks, which have the finger's friction. Where feet are stiffer than need be,
+    loads jump between them as the object rocks, and friction, which `lagged` contact computes from the loads
+    of the step before, is wrong meanwhile.
+    """
+    mass = true_object.mass
+    return _SINK * float(mass.min() / mass.mean())
+
+
+def resting_pose(x: float, y: float, angle: float, *, sink: float = 0.0) -> RigidTransform:
+    """X_WO of an object on a level table; with `sink_of` the object, all feet carry their load."""
+    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -sink]))
 
 
 def spatial_inertia(true_object: TrueObject) -> SpatialInertia:

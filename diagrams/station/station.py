@@ -27,6 +27,7 @@ from slipmap.diagrams.station.sliding_object import (
     connect_motion,
     plant_config,
     resting_pose,
+    sink_of,
 )
 from slipmap.diagrams.station.table import add_table
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
@@ -88,7 +89,8 @@ class Station(PythonDiagram):
         self.arm = add_arm(plant, models=scenario.arm.models, finger_radius=radius)
         body = plant.GetBodyByName(BODY)
         x, y, degrees = scenario.object.pose
-        plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(x, y, float(np.radians(degrees))))
+        X_WO = resting_pose(x, y, float(np.radians(degrees)), sink=sink_of(self.true_object))
+        plant.SetDefaultFloatingBaseBodyPose(body, X_WO)
         push_with_gripper(plant, self.true_object, self.arm)
         plant.Finalize()
         self.plant = plant

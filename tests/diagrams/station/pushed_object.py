@@ -21,6 +21,7 @@ from slipmap.diagrams.station.sliding_object import (
     add_sliding_object,
     plant_config,
     resting_pose,
+    sink_of,
 )
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.measurements.push_dataset import Table
@@ -54,7 +55,7 @@ class TestBed:
         if finger:
             self._add_finger(true_object)
         self.plant.Finalize()
-        self.body = self.plant.GetBodyByName(BODY)
+        self.body, self.sink = self.plant.GetBodyByName(BODY), sink_of(true_object)
         if hidden is not None:
             add_hidden_effects(self.builder, self.plant, true_object, hidden)
         self.simulator: Simulator | None = None
@@ -71,7 +72,7 @@ class TestBed:
         if self.finger is not None:
             self.plant.SetPositions(self.context, self.finger, tip)
             self._command(tip, np.zeros(2))
-        self.plant.SetFreeBodyPose(self.context, self.body, resting_pose(*pose))
+        self.plant.SetFreeBodyPose(self.context, self.body, resting_pose(*pose, sink=self.sink))
         simulator.Initialize()
 
     def follow(self, tip: np.ndarray, h: float) -> np.ndarray:

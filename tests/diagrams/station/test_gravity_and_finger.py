@@ -9,7 +9,7 @@ from slipmap.diagrams.loops.exploration_loop import recorded_dataset
 from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp_loop
 from slipmap.diagrams.station.arm import lone_arm
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError
-from slipmap.diagrams.station.sliding_object import SINK
+from slipmap.diagrams.station.sliding_object import sink_of
 from slipmap.diagrams.station.station import Station
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel
@@ -60,5 +60,6 @@ def test_on_the_moon_an_object_rests_as_high_and_the_arm_stays_at_home(renderer)
     begin = station.GetOutputPort("iiwa.position_measured").Eval(context)
     simulator.AdvanceTo(0.2)
     X_WO = station.GetOutputPort("truth.object_pose").Eval(context)
-    assert X_WO.translation()[2] == pytest.approx(-SINK, abs=0.2 * SINK)
+    sink = sink_of(station.true_object)
+    assert X_WO.translation()[2] == pytest.approx(-sink, abs=0.2 * sink)
     assert np.abs(station.GetOutputPort("iiwa.position_measured").Eval(context) - begin).max() < 1e-4
