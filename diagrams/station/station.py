@@ -30,6 +30,7 @@ from slipmap.diagrams.station.sliding_object import (
     sink_of,
 )
 from slipmap.diagrams.station.table import add_table
+from slipmap.diagrams.systems.look import DRAWN_EVERY
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 TRUTH = "truth."  # prefix of the ports that only a simulation has
@@ -112,9 +113,8 @@ class Station(PythonDiagram):
         builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
         builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
         if meshcat is not None:
-            MeshcatVisualizer.AddToBuilder(
-                builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
-            )
+            params = MeshcatVisualizerParams(role=Role.kIllustration, publish_period=DRAWN_EVERY)
+            MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
         builder.BuildInto(self)
         self.set_name("station")
 

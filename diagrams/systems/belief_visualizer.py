@@ -19,7 +19,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.diagnosis import Repair
-from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
+from slipmap.diagrams.systems.look import DRAWN_EVERY, FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.diagrams.systems.notice import INCH, NOTICE, Words, notice, words_of
@@ -219,7 +219,7 @@ class BeliefVisualizer(PythonSystem):
         *,
         path: str = "/belief",
         height: float = 0.05,
-        period: float = 1 / 15,
+        period: float = DRAWN_EVERY,
         X_WB: RigidTransform | None = None,
         which: int = 2,
     ) -> None:
