@@ -59,7 +59,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     Rules,
     far_above_noise,
     not_outdone,
-    objection,
+    objections,
     typical_misfit,
     with_better_predictors,
     worth_asking,
@@ -145,14 +145,13 @@ def diagnose(
     def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
         """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
         found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
-        with_each = dict(zip(map(outcomes.name_of, answer.rivals), found, strict=True))
-        objections = {
-            name: text
-            for rival, (name, own) in zip(answer.rivals, with_each.items(), strict=True)
-            if (text := objection(rival.effects, own, inquiry.rough, before, locked_errors(own)))
+        with_each = {
+            outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
+            for rival, own in zip(answer.rivals, found, strict=True)
         }
-        kept = outcomes.without_those_objected_to(answer, objections, inquiry.base, inquiry.first)
-        return kept, [with_each[outcomes.name_of(rival)] for rival in kept.rivals]
+        against = objections(with_each, inquiry.rough, before)
+        kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
+        return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
     outcome, learned = judged(outcome)
     if not (outcome.rivals or outcome.fault or quick) and before is not None:

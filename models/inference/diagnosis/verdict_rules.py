@@ -278,11 +278,47 @@ def objection(
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
             return f"{whose} 90 % interval is consistent with no effect at all"
     if locked_pushes_object(rough, before, after):
-        return "the locked pushes are not clearly predicted better with it"
+        return NOT_BETTER
     if locked_pushes_stay_off(before, after):
         return STAYS_OFF
     return None
 
+
+def objections(
+    rivals: Mapping[str, tuple[Sequence[Effect], Identification, LockedErrors | None]],
+    rough: bool,
+    before: LockedErrors | None,
+) -> dict[str, str]:
+    """Objections to rival answers, by name.
+
+    Locked pushes do not object to one that predicts them as well as a rival to which nothing is objected:
+    otherwise chance would choose between effects that the pushes cannot tell apart.
+
+    Args:
+        rivals: effects, what was learned with them, and errors of the locked pushes then, by name.
+        rough, before: as in `objection`.
+    """
+    found = {
+        name: text
+        for name, (effects, learned, after) in rivals.items()
+        if (text := objection(effects, learned, rough, before, after))
+    }
+    supported = [after for name, (*_, after) in rivals.items() if name not in found and after is not None]
+
+    def as_well(after: LockedErrors | None) -> bool:
+        return after is not None and any(
+            Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported
+        )
+
+    return {
+        name: text
+        for name, text in found.items()
+        if not (text in (NOT_BETTER, STAYS_OFF) and as_well(rivals[name][2]))
+    }
+
+
+NOT_BETTER = "the locked pushes are not clearly predicted better with it"
+"""The objection of `locked_pushes_object`."""
 
 STAYS_OFF = "the locked pushes are predicted as badly with it as without"
 """The objection of `locked_pushes_stay_off`."""

@@ -20,6 +20,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     locked_pushes_stay_off,
     not_outdone,
     objection,
+    objections,
     with_better_predictors,
 )
 
@@ -91,6 +92,23 @@ def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
     assert holds_null(effect, own) is holds
     said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds
+
+
+@pytest.mark.parametrize(
+    ("share", "tilt", "stays"),
+    [((0.1, 0.23), 2.1, True), ((0.1, 0.23), 4.0, False), ((0.0, 0.23), 2.1, False)],
+    ids=["as well", "worse", "no effect"],
+)
+def test_locked_pushes_do_not_choose_between_effects_that_predict_them_alike(share, tilt, stays):
+    """Rough pushes must improve by more than their scatter, which one effect reaches and the other misses."""
+    before = errors(10.0, 10.0)
+    tilted = ((TILT,), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01)), errors(2.0, 2.0))
+    loose = ((MASS,), learned(MASS, share=share), errors(1.0, 1.0 * tilt**2))
+    assert locked_pushes_object(True, before, tilted[2]) is False
+    assert locked_pushes_object(True, before, loose[2]) is True
+    found = objections({"table_tilt": tilted, "loose_mass": loose}, True, before)
+    assert list(found) == ([] if stays else ["loose_mass"])
+    assert list(objections({"loose_mass": loose}, True, before)) == ["loose_mass"]
 
 
 def test_a_rival_that_something_speaks_against_leaves_the_set():
