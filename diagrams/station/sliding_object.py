@@ -22,12 +22,14 @@ DISC = "disc"  # name of the body with the surface of a round table that feet to
 FINGER_FRICTION = 0.3  # friction coefficient of the finger's own geometry, as in its model file
 STICTION = 1e-4  # speed below which friction lets an object creep, m/s
 _SINK = 4e-6
-"""Depth to which a foot of the lightest cell sinks in under the weight of a mean cell, m; see `sink_of`."""
+"""Depth to which the feet of the lightest cell would sink in under the weight of a mean cell, m; see
+`sink_of`."""
 
 CLEARANCE = 1e-4  # between the table and the blocks and walls above it, m
 _FOOT_RADIUS = 5e-4  # m; lower than any finger over the table
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _TABLE_STIFFNESS = 1e8  # N/m
+_HARDEST = 0.1  # greatest stiffness of a foot, as a share of the table's
 _DISSIPATION = 20.0  # s/m
 
 # Four points on the diagonals at this distance from the centre (in cell widths) resist spinning like the
@@ -170,14 +172,18 @@ def sink_of(true_object: TrueObject) -> float:
     At the rim of a table light cells may carry hundreds of times their weight. Where they sink in far, an
     object leans there on its blocks, which have the finger's friction. Where feet are stiffer than need be,
     loads jump between them as the object rocks, and friction, which `lagged` contact computes from the loads
-    of the step before, is wrong meanwhile.
+    of the step before, is wrong meanwhile. No foot may be nearly as stiff as the table.
     """
     mass = true_object.mass
-    return _SINK * float(mass.min() / mass.mean())
+    least = float(mass.max()) * GRAVITY / len(FEET) / (_HARDEST * _TABLE_STIFFNESS)
+    return max(_SINK * float(mass.min() / mass.mean()), least)
 
 
 def resting_pose(x: float, y: float, angle: float, *, sink: float = 0.0) -> RigidTransform:
-    """X_WO of an object on a level table; with `sink_of` the object, all feet carry their load."""
+    """X_WO of an object on a level table.
+
+    With `sink` from `sink_of`, every foot carries the load of its cell; with 0, feet just touch.
+    """
     return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -sink]))
 
 

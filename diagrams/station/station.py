@@ -30,8 +30,7 @@ from slipmap.diagrams.station.sliding_object import (
     sink_of,
 )
 from slipmap.diagrams.station.table import add_table
-from slipmap.diagrams.systems.look import DRAWN_EVERY
-from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
+from slipmap.diagrams.systems.python_system import DRAWN_EVERY, PythonDiagram, PythonSystem
 
 TRUTH = "truth."  # prefix of the ports that only a simulation has
 

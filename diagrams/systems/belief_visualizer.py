@@ -19,11 +19,11 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.diagnosis import Repair
-from slipmap.diagrams.systems.look import DRAWN_EVERY, FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
+from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.diagrams.systems.notice import INCH, NOTICE, Words, notice, words_of
-from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.diagrams.systems.python_system import DRAWN_EVERY, PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief

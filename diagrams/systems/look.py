@@ -10,11 +10,6 @@ import numpy as np
 
 from slipmap.models.physics.cell_grid import FloatArray
 
-DRAWN_EVERY = 0.05
-"""s between two drawings in Meshcat: the period of the loops' own blocks, so that no further event divides a
-step of the simulation, and a run that is drawn is the run that is not."""
-
-
 INK = "#222222"
 FAINT = "#9a9a9a"
 PAPER = "#f1efea"

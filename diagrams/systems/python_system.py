@@ -23,6 +23,10 @@ from weakref import WeakMethod, ref
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, EventStatus, LeafSystem, State
 
+DRAWN_EVERY = 0.05
+"""s between two drawings in Meshcat: the period of the loops' blocks, so that in a loop no further event
+divides a step of the simulation, and a run that is drawn is the run that is not."""
+
 
 def weakly(method: Callable[..., None]) -> Callable[..., None]:
     """A function for C++ to keep that calls a method without holding its object, while the object lives."""

@@ -71,12 +71,13 @@ class _Inlined(CPUDispatcher):
     """A function that only other compiled functions can call."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        raise TypeError(f"{self.py_func.__name__} is inlined into kernels; for Python it is its `py_func`")
+        raise TypeError(f"{self.py_func.__name__} is inlined into kernels; call it from a compiled function")
 
 
 def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compile on first call and keep the result; options are Numba's. Python cannot call what is
-    inlined.
+    """Decorator: compile on first call and keep the result; options are Numba's.
+
+    Functions with `forceinline` or `inline` can be called only from compiled functions.
 
     Args:
         folder: where the result is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.

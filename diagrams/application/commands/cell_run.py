@@ -96,7 +96,9 @@ class CellRun(NamedTuple):
         with Progress() as progress:
             prepare_kernels()
             if meshcat is not None and recorded:
-                meshcat.StartRecording(frames_per_second=15.0)
+                from slipmap.diagrams.systems.python_system import DRAWN_EVERY
+
+                meshcat.StartRecording(frames_per_second=1.0 / DRAWN_EVERY)
             yield meshcat, progress
         if meshcat is not None and recorded:
             meshcat.StopRecording()

@@ -291,8 +291,8 @@ def objections(
 ) -> dict[str, str]:
     """Objections to rival answers, by name.
 
-    Locked pushes do not object to one that predicts them as well as a rival to which nothing is objected:
-    otherwise chance would choose between effects that the pushes cannot tell apart.
+    Rough pushes do not object to one that predicts them better than no effect, and nearly as well as a rival
+    to which nothing is objected. Otherwise chance would choose between effects that they cannot tell apart.
 
     Args:
         rivals: effects, what was learned with them, and errors of the locked pushes then, by name.
@@ -306,14 +306,12 @@ def objections(
     supported = [after for name, (*_, after) in rivals.items() if name not in found and after is not None]
 
     def as_well(after: LockedErrors | None) -> bool:
-        return after is not None and any(
+        return not (after is None or locked_pushes_object(False, before, after)) and any(
             Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported
         )
 
     return {
-        name: text
-        for name, text in found.items()
-        if not (text in (NOT_BETTER, STAYS_OFF) and as_well(rivals[name][2]))
+        name: text for name, text in found.items() if not (text == NOT_BETTER and as_well(rivals[name][2]))
     }
 
 

@@ -119,6 +119,17 @@ def test_each_foot_carries_the_weight_of_its_cell(bar: TrueObject) -> None:
     np.testing.assert_allclose(carried, bar.mass * 9.81, rtol=1e-3)
 
 
+def test_cells_of_next_to_no_mass_make_no_foot_as_stiff_as_the_table(bar: TrueObject) -> None:
+    mass = np.where(bar.labels == 1, 0.5, 1e-6)
+    light = replace(bar, mass=mass)
+    stiffness = mass * 9.81 / 4 / sink_of(light)
+    assert stiffness.max() == pytest.approx(1e7, rel=1e-3)
+    bed = TestBed(light)
+    bed.start(np.array([0.1, 0.0, 0.7]))
+    bed.advance(0.1)
+    np.testing.assert_allclose(bed.pose, [0.1, 0.0, 0.7], atol=1e-6)
+
+
 def test_inertia_is_that_of_the_boxes(bar: TrueObject) -> None:
     inertia = spatial_inertia(bar)
     assert inertia.get_mass() == pytest.approx(bar.total_mass)

@@ -95,20 +95,27 @@ def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
 
 
 @pytest.mark.parametrize(
-    ("share", "tilt", "stays"),
+    ("share", "typical", "stays"),
     [((0.1, 0.23), 2.1, True), ((0.1, 0.23), 4.0, False), ((0.0, 0.23), 2.1, False)],
     ids=["as well", "worse", "no effect"],
 )
-def test_locked_pushes_do_not_choose_between_effects_that_predict_them_alike(share, tilt, stays):
+def test_locked_pushes_do_not_choose_between_effects_that_predict_them_alike(share, typical, stays):
     """Rough pushes must improve by more than their scatter, which one effect reaches and the other misses."""
     before = errors(10.0, 10.0)
     tilted = ((TILT,), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01)), errors(2.0, 2.0))
-    loose = ((MASS,), learned(MASS, share=share), errors(1.0, 1.0 * tilt**2))
+    loose = ((MASS,), learned(MASS, share=share), errors(1.0, typical**2))
     assert locked_pushes_object(True, before, tilted[2]) is False
     assert locked_pushes_object(True, before, loose[2]) is True
     found = objections({"table_tilt": tilted, "loose_mass": loose}, True, before)
     assert list(found) == ([] if stays else ["loose_mass"])
     assert list(objections({"loose_mass": loose}, True, before)) == ["loose_mass"]
+
+
+def test_locked_pushes_object_to_an_effect_that_predicts_them_worse_than_none():
+    before = errors(1.5, 1.5)
+    tilted = ((TILT,), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01)), errors(1.45, 1.45))
+    loose = ((MASS,), learned(MASS, share=(0.1, 0.23)), errors(1.55, 1.55))
+    assert list(objections({"table_tilt": tilted, "loose_mass": loose}, False, before)) == ["loose_mass"]
 
 
 def test_a_rival_that_something_speaks_against_leaves_the_set():
