@@ -36,8 +36,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from slipmap.models.physics.compiled import compiled
 
 MAX_CONTACTS = 2
@@ -268,27 +266,3 @@ def springs(contact, cone, vx, vy, omega):  # type: ignore[no-untyped-def]
     along_normal = contact.nx * vx + contact.ny * vy + contact.nw * omega
     along_tangent = contact.nx * vy - contact.ny * vx + contact.tw * omega
     return (along_normal - contact.closing) * contact.normal, (contact.drag - along_tangent) * cone.tangential
-
-
-def gap(points: np.ndarray, radius: float, edges: np.ndarray) -> np.ndarray:
-    """Signed gap between discs and the outline, m; negative where they overlap.
-
-    Args:
-        points: (k, 2) centres in the object frame, m.
-        radius: radius of the disc, m.
-        edges: (E, 4) outline edges, the object to the left.
-
-    Returns:
-        (k,) gaps.
-    """
-    return _gaps(np.asarray(points, dtype=float), radius, edges)
-
-
-@compiled()
-def _gaps(points, radius, edges):  # type: ignore[no-untyped-def]
-    result = np.empty(len(points))
-    contacts = np.empty((MAX_CONTACTS, CONTACT_COLUMNS))
-    for k in range(len(points)):
-        find_contacts(points[k, 0], points[k, 1], radius, math.inf, edges, contacts)
-        result[k] = contacts[0, 4]
-    return result

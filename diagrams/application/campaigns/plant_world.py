@@ -61,7 +61,6 @@ class PlantWorld(DirectWorld):
                 f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
             )
         self._time_step = time_step
-        self._sink = sliding_object.sink_of(true_object)
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
@@ -94,7 +93,8 @@ class PlantWorld(DirectWorld):
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
         x, y, angle = pose
-        X_WO = sliding_object.resting_pose(x, y, angle, sink=self._sink)
+        sink = sliding_object.sink_of(self.true_object)
+        X_WO = sliding_object.resting_pose(x, y, angle, sink=sink)
         self._plant.SetFreeBodyPose(self._context, self._body, X_WO)
         self._take_finger_away()
 

@@ -24,10 +24,21 @@ from sliding_objects import (
 )
 
 from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.physics.contact import gap
+from slipmap.models.physics.compiled import compiled
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, find_contacts
 from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 
 ONE_CELL = np.zeros((1, 2))
+
+
+@compiled()
+def gap(points, radius, edges):
+    """(k,) gaps between discs at points (k, 2) and the outline, m, negative where they overlap."""
+    result, contacts = np.empty(len(points)), np.empty((MAX_CONTACTS, CONTACT_COLUMNS))
+    for k in range(len(points)):
+        find_contacts(points[k, 0], points[k, 1], radius, np.inf, edges, contacts)
+        result[k] = contacts[0, 4]
+    return result
 
 
 @st.composite
