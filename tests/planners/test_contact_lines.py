@@ -7,9 +7,9 @@ import shapely
 from slipmap.models.objects import cells_from_polygon, contour_cells
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.physics.contact import gap
 from slipmap.planners.contact_lines import ContactContour, ways_of_center
 from slipmap.planners.exploration import DESCENT, NoReachablePush
+from tests.models.physics.sliding_objects import signed_distances
 from tests.planners.cell_world import RADIUS
 
 APPROACH, CONE = 0.02, 0.4
@@ -21,10 +21,12 @@ def test_lines_touch_the_outline_only_at_their_end(name):
     grid = benchmark_object(name).grid
     lines = ContactContour(grid, RADIUS, APPROACH).spread(NOWHERE, 64, CONE, np.random.default_rng(0))
     assert len(lines) == 64
-    assert gap(lines.touches, RADIUS, grid.edges) == pytest.approx(0, abs=1e-8)
+    assert signed_distances(grid, lines.touches) == pytest.approx(RADIUS, abs=1e-8)
     for share in (0.05, 0.5, 0.95):
-        assert gap(lines.touches - share * APPROACH * lines.directions, RADIUS, grid.edges).min() > -1e-8
-    assert gap(lines.touches - APPROACH * lines.directions, RADIUS, grid.edges).min() > DESCENT - 1e-8
+        assert (
+            signed_distances(grid, lines.touches - share * APPROACH * lines.directions).min() > RADIUS - 1e-8
+        )
+    assert signed_distances(grid, lines.touches - APPROACH * lines.directions).min() > RADIUS + DESCENT - 1e-8
 
 
 def test_a_line_is_at_its_place_and_angle():
@@ -82,8 +84,8 @@ def test_lines_begin_in_an_opening_that_is_wide_enough_and_stay_there():
     lines = contour.spread(NOWHERE, 60, CONE, rng)
     inside = np.hypot(*lines.touches.T) < 0.04
     assert 10 < inside.sum() < 50
-    assert gap(lines.touches, RADIUS, grid.edges) == pytest.approx(0, abs=1e-8)
-    assert gap(lines.touches - APPROACH * lines.directions, RADIUS, grid.edges).min() > DESCENT - 1e-8
+    assert signed_distances(grid, lines.touches) == pytest.approx(RADIUS, abs=1e-8)
+    assert signed_distances(grid, lines.touches - APPROACH * lines.directions).min() > RADIUS + DESCENT - 1e-8
     # Along both rings, neighbours of a line lie on its own ring, though it begins where the other one ends.
     for first in (np.argmin(np.where(inside, lines.places, np.inf)), np.argmax(lines.places * ~inside)):
         near = contour.near(lines, np.array([first]), 40, 0.01, 0.0, CONE, rng)

@@ -7,9 +7,9 @@ import pytest
 
 from slipmap.models.objects import cells_from_polygon, contour_cells
 from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.physics.contact import gap
 from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.exploration import DESCENT, Candidate, NoReachablePush, candidate_pushes
+from tests.models.physics.sliding_objects import signed_distances
 
 RADIUS = 0.006
 
@@ -40,7 +40,7 @@ def finger_places(candidate: Candidate, count: int = 200) -> np.ndarray:
 @pytest.mark.parametrize("grid", [rectangle(), fork(), frame()], ids=["rectangle", "fork", "frame"])
 def test_finger_touches_first_at_the_contact_point(grid):
     for candidate in candidate_pushes(grid, RADIUS, np.random.default_rng(1), 60):
-        gaps = gap(finger_places(candidate), RADIUS, grid.edges)
+        gaps = signed_distances(grid, finger_places(candidate)) - RADIUS
         assert gaps[-1] == pytest.approx(0.0, abs=1e-9)
         assert (gaps[:-1] > 0.0).all()
         assert np.linalg.norm(candidate.touch - candidate.contact) == pytest.approx(RADIUS)
@@ -63,7 +63,7 @@ def test_the_finger_pushes_from_inside_openings_in_which_it_can_come_down(openin
     pushes = candidate_pushes(grid, RADIUS, np.random.default_rng(2), 80)
     begins = np.array([finger_places(candidate)[0] for candidate in pushes])
     assert (np.abs(begins).max(axis=1) < 0.025).any() == inside
-    assert gap(begins, RADIUS, grid.edges).min() > DESCENT - 1e-8
+    assert signed_distances(grid, begins).min() > RADIUS + DESCENT - 1e-8
     outwards = [c for c in pushes if c.contact @ c.direction > 0.0]
     assert bool(outwards) == inside and all(np.abs(c.contact).max() < 0.0251 for c in outwards)
 
@@ -73,9 +73,9 @@ def test_the_finger_comes_down_with_room_around_it():
     grid = fork(slot=0.024)
     pushes = candidate_pushes(grid, 0.006, np.random.default_rng(3), 200, approach=0.015)
     begins = np.array([finger_places(candidate)[0] for candidate in pushes])
-    assert gap(begins, 0.006, grid.edges).min() > DESCENT - 1e-8
+    assert signed_distances(grid, begins).min() > 0.006 + DESCENT - 1e-8
     touches = np.array([finger_places(candidate)[-1] for candidate in pushes])
-    assert gap(touches, 0.006, grid.edges).max() < 1e-8
+    assert signed_distances(grid, touches).max() < 0.006 + 1e-8
 
 
 def test_directions_fill_the_cone_about_the_inward_normal():

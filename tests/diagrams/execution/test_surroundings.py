@@ -19,10 +19,10 @@ from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.geometry import seen_from
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.physics.contact import gap
 from slipmap.planners.exploration import candidate_pushes
 from slipmap.planners.table_push import TablePush
 from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
+from tests.models.physics.sliding_objects import signed_distances
 
 LENGTH, WIDTH, HEIGHT = 0.361, 0.129, 0.07
 GRID = cells_from_polygon(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [LENGTH / 2, WIDTH / 2], count=60)
@@ -108,7 +108,7 @@ def test_the_finger_is_lowered_into_an_opening_and_leaves_it_upwards(kinematics)
             moved = candidate.length * push.direction * (number > pushing)
             for time in np.linspace(0.0, phase.duration, 20):
                 tip = kinematics.pose(phase.trajectory.value(time)[:, 0]).translation()
-                away = gap(seen_from(tip[None, :2] - moved, POSE), radius, frame.edges)[0]
+                away = signed_distances(frame, seen_from(tip[None, :2] - moved, POSE))[0] - radius
                 assert tip[2] > height or number == pushing or away > (0.007 if number < pushing else -1e-4)
 
 
