@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.blas import one_blas_thread
-from slipmap.models.geometry import placed, radius_of_gyration, turn
+from slipmap.models.geometry import placed, radius_of_gyration, rotated, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
 from slipmap.models.measurements.push_dataset import Table
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 _SAFE = 0.02  # m; least balance margin after a push, which may end some millimetres off
 _FARTHEST = 2.0  # times the finger's way; no point of a pushed object goes farther
 _TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
+# Where a finger touches so far elsewhere, m, a steady push ends no more than so many times farther away. Most
+# amplify it by less than 2, and those on which the finger may slip off a corner by 3 to 50.
+_ELSEWHERE, _STEADY = 1e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,8 @@ def choose_push(
     Without past pushes, or without a belief if the strategy needs one, the choice is random. A push after
     which the object could fall from the table is not chosen: all hypotheses must keep it balanced by 20 mm,
     or by no less than before. Without a belief, its whole outline must stay on the table, or no less of it.
+    A push that ends elsewhere if the finger touches a millimetre beside is the last choice: hypotheses
+    disagree on it, but its end says where the outline is and little about the maps.
 
     Args:
         grid: the object.
@@ -117,7 +122,8 @@ def choose_push(
         worth = _disagreements(choices, pose, belief)
     else:
         worth = rng.random(len(choices))
-    for index in np.argsort(-worth):
+    steady = _steady(choices, pose, grid, finger_radius, belief)
+    for index in np.lexsort((-worth, ~steady)):
         if allowed(choices[index].push):
             if question is None:
                 return choices[index]
@@ -164,8 +170,7 @@ def _balanced(
     if table.margin(placed(grid.exterior, pose)).min() > _FARTHEST * longest:
         return np.ones(len(choices), dtype=bool)
     if belief is None:
-        slider = Slider(grid, finger_radius, table=table)
-        maps = Maps(np.full((1, len(grid)), 1.0 / len(grid)), np.full((1, len(grid)), 0.3), np.array([0.3]))
+        slider, maps = _uniform(grid, finger_radius, table)
     else:
         slider, maps = belief.on(table).slider, belief.maps
     try:
@@ -180,6 +185,35 @@ def _balanced(
     least, falls = margins.min(axis=0), rollouts.tipped.any(axis=0)
     wanted = min(0.0 if belief is None else _SAFE, least[-1])
     return np.asarray((least[:-1] >= wanted) & ~falls)
+
+
+def _steady(
+    choices: Sequence[Choice], pose: FloatArray, grid: CellGrid, finger_radius: float, belief: Belief | None
+) -> NDArray[np.bool_]:
+    """(S,) whether each push ends about where it should if the finger touches a little elsewhere."""
+    if not choices:
+        return np.zeros(0, dtype=bool)
+    if belief is None:
+        slider, maps = _uniform(grid, finger_radius, None)
+    else:
+        best = int(np.argmax(belief.probability))
+        slider, maps = belief.slider, belief.maps[best : best + 1]
+    ways = _ELSEWHERE * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    pushes = [_imagined(choice.push, pose) for choice in choices]
+    beside = [replace(push, tip=push.tip + rotated(way, pose[2])) for push in pushes for way in ways]
+    try:
+        ends = slider.rollout(maps, beside).end[0, :, :3].reshape(len(choices), len(ways), 3)
+    except RolloutError:
+        return np.zeros(len(choices), dtype=bool)
+    off = add(ends[:, 1:], ends[:, :1], grid.centers).max(axis=1)
+    return np.asarray(off <= _STEADY * _ELSEWHERE)
+
+
+def _uniform(grid: CellGrid, finger_radius: float, table: Table | None) -> tuple[Slider, Maps]:
+    """A uniform object of the grid's outline, for pushes before anything is learned."""
+    n = len(grid)
+    maps = Maps(np.full((1, n), 1.0 / n), np.full((1, n), 0.3), np.array([0.3]))
+    return Slider(grid, finger_radius, table=table), maps
 
 
 def _differences(choices: Sequence[Choice], past: Sequence[Choice], grid: CellGrid) -> FloatArray:

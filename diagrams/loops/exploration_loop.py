@@ -49,8 +49,8 @@ LONGEST_STEP = 0.005
 """Longest time step of the hypotheses that run beside the real object, s; twice that moves the ends of taps
 by 1 mm."""
 
-SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
-"""Noise of the camera's poses, of the arm's joint sensors, and of the force computed from its torques."""
+SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3, outline=0.4e-3)
+"""Noise of the camera's poses and outline, of the arm's joint sensors, and of the force from its torques."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ Five short pushes may leave open whether it is a thousandth or some hundredths, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy.special import gammaln
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.end_region import MODEL_FREEDOM, MOST_FREEDOM
-from slipmap.models.inference.error_model import SensorNoise
+from slipmap.models.inference.error_model import SensorNoise, outline_errors
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prediction import effective_travel
@@ -31,6 +31,10 @@ _SHARES = np.geomspace(1e-4, 1.0, 401)
 
 _QUANTILES = (np.arange(9) + 0.5) / 9
 """Of ε: so many equally likely values stand for its distribution."""
+
+_OUTLINES = 20
+"""So many outlines stand for an uncertain one: near a corner the finger holds or slips off, which derivatives
+do not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +50,7 @@ class LeftOut:
 
         Returns:
             World poses (B, 3), m and rad, and the variances (B, 3) of what that fit, the tracker's view of
-            the start and the record of the finger's track leave open of them.
+            the start, the outline and the record of the finger's track leave open of them.
         """
         prior, observations = self.likelihood.prior, self.likelihood.observations
         maps = prior.maps(self.fits.z)
@@ -63,9 +67,14 @@ class LeftOut:
             for place, b in enumerate(own):
                 slopes = prior.chain(maps[k : k + 1], rollouts.d_poses_of(place)[:, -1])[0]
                 by_maps, by_start = slopes[:, : prior.size], slopes[:, prior.size :]
-                started = (by_start * self.likelihood.start_sigma[b]) ** 2
+                started = (by_start * self.likelihood.tracker_sigma[b]) ** 2
                 variances[b] = ((by_maps @ left) * by_maps).sum(axis=1) + started.sum(axis=1)
                 variances[b] += by_track[place].var(axis=0)
+            if outline := self.likelihood.outline:
+                ways = outline * outline_errors(_OUTLINES)
+                touched = [replace(push, tip=push.tip + way) for push in pushes for way in ways]
+                elsewhere = prior.slider.rollout(maps[k : k + 1], touched).end[0, :, :3]
+                variances[own] += elsewhere.reshape(len(own), _OUTLINES, 3).var(axis=1)
         return ends, variances
 
 

@@ -29,6 +29,9 @@ MEMORY = 0.03
 FORCE_MEMORY = 0.3
 """Correlation time of the force error, s."""
 
+_CORNER = 2.5
+"""How many times farther off than elsewhere an outline is at a corner."""
+
 
 @dataclass(frozen=True)
 class SensorNoise:
@@ -41,6 +44,7 @@ class SensorNoise:
     declared: bool
     # whether no push has enough poses for an estimate either, so that the poses' noise is the least possible
     assumed: bool = False
+    outline: float = 0.0  # of the outline where a finger touches it, m
     # how much of the poses' noise lasts from row to row; nothing where it is declared
     lasting_position: Lasting = NONE_LASTS
     lasting_angle: Lasting = NONE_LASTS
@@ -95,6 +99,17 @@ def _accumulated(travel: FloatArray) -> FloatArray:
     return MEMORY * (2.0 * low - MEMORY * (1.0 - end[:, None] - end[None] + gap))
 
 
+def outline_errors(count: int) -> FloatArray:
+    """(count, 2) equally likely errors of an outline, evenly around, with unit variances of x and y.
+
+    One in five is `_CORNER` times as far: seen outlines are off the most at corners.
+    """
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    far = np.where(np.arange(count) % 5 == 2, _CORNER, 1.0)
+    radius = far * np.sqrt(2.0 / np.mean(far**2))
+    return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
 def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
     """(S,) distance travelled by the cells along the measured poses, m, summed from pose to pose."""
     poses = np.concatenate([observation.push.start_pose[None], observation.poses])
@@ -112,5 +127,12 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
         force = max(float(np.median(found)), 0.02) if found else 0.1
     known = declared.position is not None and declared.angle is not None
     return SensorNoise(
-        poses.position, poses.angle, force, known, poses.assumed, poses.lasting_position, poses.lasting_angle
+        poses.position,
+        poses.angle,
+        force,
+        known,
+        poses.assumed,
+        declared.outline or 0.0,
+        poses.lasting_position,
+        poses.lasting_angle,
     )

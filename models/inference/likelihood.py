@@ -10,6 +10,14 @@ Residuals along a push are correlated, so a push counts as a few independent pos
 sampled. Huber's cost keeps a push that the model cannot explain from deciding everything. The start pose of
 each push is known only as well as the tracker sees it; its offset is solved for together with the maps and
 eliminated from their equations (Schur complement).
+
+An outline that is off by t where the finger touches it acts like an object that starts elsewhere while its
+poses are still measured from where it was seen. So the offset is that of the start by the tracker's error s
+minus t; poses are moved back by the t to expect of it,
+
+    a = s - t,    E(t | a) = -κ a,    κ = σ_t² / (σ_s² + σ_t²),
+
+and what t differs from that, less than the tracker's error, is neglected.
 """
 
 from __future__ import annotations
@@ -97,7 +105,8 @@ class PushLikelihood(ABC):
         prior: coordinates of the maps.
         observations: B pushes.
         pushes: the rollouts to make of them, with the times at which a residual is needed.
-        start_sigma: (B, 3) standard deviations of start offsets, m and rad.
+        tracker_sigma: (B, 3) standard deviations of the starts as the tracker sees them, m and rad.
+        outline: the same of the outline where the finger touches it, m.
     """
 
     def __init__(
@@ -105,11 +114,14 @@ class PushLikelihood(ABC):
         prior: MapPrior,
         observations: Sequence[Observation],
         pushes: Sequence[Push],
-        start_sigma: FloatArray,
+        tracker_sigma: FloatArray,
+        outline: float,
     ) -> None:
         self.prior = prior
         self.observations: Sequence[Observation] = list(observations)
-        self.start_sigma = start_sigma
+        self.tracker_sigma, self.outline = tracker_sigma, outline
+        self.start_sigma = np.hypot(tracker_sigma, [outline, outline, 0.0])
+        self._of_outline = (outline / self.start_sigma[:, 0]) ** 2
         grid = prior.slider.grid
         self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
         self._pushes = list(pushes)
@@ -212,10 +224,21 @@ class PushLikelihood(ABC):
                 start_poses=self._starts[own] + offsets[: len(maps), own],
                 start_twists=np.broadcast_to(self._twists[own], (len(maps), len(own), 3)),
             )
+            self._move_back(rollouts, own, offsets[: len(maps), own])
             reached = np.asarray(rollouts.reached.any(axis=0))
             for alike in _cut(self._kind[part], reached, np.cumsum(size[part]) // _ALIKE):
                 used = slice(None) if reached[alike.start] else slice(self.prior.slider.columns)
                 yield self._alike(own, alike, rollouts, used, columns, convert=convert)
+
+    def _move_back(self, rollouts: Rollouts, pushes: NDArray[np.int64], offsets: FloatArray) -> None:
+        """Move poses back by the share of the start offsets (K, n, 3) that is due to the outline."""
+        if self.outline == 0.0:
+            return
+        rows = np.diff(rollouts.pose_at)
+        share, start = np.repeat(self._of_outline[pushes], rows), self.prior.start_columns.start
+        rollouts.poses[..., :2] -= share[:, None] * np.repeat(offsets[..., :2], rows, axis=1)
+        for i in range(2):
+            rollouts.d_poses[:, :, i, start + i] -= share
 
     def _alike(
         self,
@@ -330,7 +353,7 @@ class Likelihood(PushLikelihood):
             single = any(len(observation.poses) == 1 for observation in observations)
             start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
         pushes = [observation.counted for observation in observations]
-        super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)))
+        super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)), noise.outline or 0.0)
         self.settings = settings
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
         self._force_sigmas = np.array([self._force_sigma(one, noise) for one in self.observations])

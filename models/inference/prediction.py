@@ -18,7 +18,7 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import turned_to
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.end_region import EndRegion
-from slipmap.models.inference.error_model import SensorNoise, sensor_noise
+from slipmap.models.inference.error_model import SensorNoise, outline_errors, sensor_noise
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.push_errors import Errors, errors, resting_errors
 from slipmap.models.inference.summaries import middle_poses
@@ -320,26 +320,32 @@ def effective_travel(travel: FloatArray) -> FloatArray:
 
 
 def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> FloatArray:
-    """Ends of the hypotheses, each from starts that the tracker would see as the measured ones, along a track
-    that the finger may have taken.
+    """Ends of the hypotheses, each from starts that the tracker would see as the measured ones, with an
+    outline that would be seen as the given one, along a track that the finger may have taken.
 
-    A push near balance may go either way from them, and an object that is struck slides as far as the
-    finger's fastest moment lets it. The starts' mean over the hypotheses is the measured one.
+    A push near balance or near a corner may go either way from them, and an object that is struck slides as
+    far as the finger's fastest moment lets it. The means of starts and outlines over the hypotheses are those
+    given.
 
     Args:
         belief: K hypotheses.
         observations: B pushes.
-        noise: of the tracker.
+        noise: of the tracker and the outline.
 
     Returns:
         (K, B, 3) poses.
     """
     p = belief.probability
     # The same for every push, so that its region does not depend on which others are predicted with it.
-    offsets = np.random.default_rng(_STARTS).standard_normal((len(p), 1, 3))
+    rng = np.random.default_rng(_STARTS)
+    offsets = rng.standard_normal((len(p), 1, 3))
     offsets = offsets - np.einsum("k,kbi->bi", p, offsets)
     offsets = offsets * noise.of_means([observation.start_rows for observation in observations])
-    starts = np.array([observation.push.start_pose for observation in observations]) + offsets
+    # An outline that is off is as if the object started elsewhere and were measured from there.
+    outlines = np.zeros((len(p), 1, 3))
+    outlines[:, 0, :2] = noise.outline * rng.permutation(outline_errors(len(p)))
+    outlines -= np.einsum("k,kbi->bi", p, outlines)
+    starts = np.array([observation.push.start_pose for observation in observations]) + offsets + outlines
     pushes = [observation.likely_pushes for observation in observations]
     tracks = min(len(p), max(len(likely) for likely in pushes))
     ends = np.empty((len(p), len(observations), 3))
@@ -352,7 +358,7 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
         recorded = [observation.push for observation in observations]
         along_mean = belief.slider.rollout(belief.maps, recorded, start_poses=starts).end[:, :, :3]
         ends += np.einsum("k,kbi->bi", p, along_mean - ends)
-    return ends
+    return ends - outlines
 
 
 def uniform_maps(belief: Belief) -> Maps:

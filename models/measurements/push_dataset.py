@@ -38,7 +38,13 @@ LEAST_SPREAD = 1e-3
 """Smallest relative standard deviation with which anything is known."""
 
 _FAR_AWAY = 1.0  # m
-_LEAST_NOISE = {"position": (1e-6, "m"), "angle": (1e-5, "rad"), "tip": (1e-6, "m"), "force": (1e-4, "N")}
+_LEAST_NOISE = {
+    "position": (1e-6, "m"),
+    "angle": (1e-5, "rad"),
+    "tip": (1e-6, "m"),
+    "force": (1e-4, "N"),
+    "outline": (1e-6, "m"),
+}
 
 
 class DatasetError(ValueError):
@@ -181,10 +187,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of each channel's rows, where known: m, rad, m, N.
+    """Standard deviations of each channel's rows, where known: m, rad, m, N; and of the outline, m.
 
-    Values below 1 µm, 10 µrad, 1 µm or 0.1 mN, such as 0 in a simulation, are raised to these, since no model
-    is more exact.
+    Values below 1 µm, 10 µrad, 1 µm, 0.1 mN or 1 µm, such as 0 in a simulation, are raised to these, since no
+    model is more exact.
+
+    Attributes:
+        outline: distance by which the outline is off where a finger touches it, different from push to push.
+            An outline without it counts as exact.
 
     Raises:
         ValueError: a negative or not finite number.
@@ -194,6 +204,7 @@ class Noise:
     angle: float | None = None
     tip: float | None = None
     force: float | None = None
+    outline: float | None = None
 
     def __post_init__(self) -> None:
         for name, (least, unit) in _LEAST_NOISE.items():

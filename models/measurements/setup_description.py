@@ -29,6 +29,7 @@ _NOISE = {
     name: Number(unit, high=high, beyond=_DEVIATION, or_zero=True)
     for name, (unit, high) in {
         "position": ("m", 0.1), "angle": ("rad", 1.0), "tip": ("m", 0.1), "force": ("N", 1e3),
+        "outline": ("m", 0.1),
     }.items()
 }  # fmt: skip
 

@@ -44,7 +44,8 @@ def record_pushes(
         maps: the true maps, one model.
         pushes: B pushes by a finger, each from its own start pose.
         rng: source of the noise.
-        noise: standard deviations; None is no noise. The torque has that of the force times the radius.
+        noise: standard deviations; None is no noise. The torque has that of the force times the radius. Each
+            push touches the object elsewhere by the error of the outline.
         heldout: number of last pushes to hold out; the others are for learning.
         rate: rows per second of every channel.
         name, description: of the dataset.
@@ -80,7 +81,7 @@ def record_pushes(
     for index, push in enumerate(pushes):
         check_begins_clear(f"recording: push {index}", slider, push.start_pose, push.tip[0])
     timed = [_sampled(push, rate, index) for index, push in enumerate(pushes)]
-    rollouts = slider.rollout(maps, timed)
+    rollouts = slider.rollout(maps, [_touching_elsewhere(push, noise.outline, rng) for push in timed])
     trials = []
     for index, push in enumerate(timed):
         assert push.pose_times is not None
@@ -114,6 +115,11 @@ def record_pushes(
         trials=tuple(trials),
         fingerprint=digest.hexdigest(),
     )
+
+
+def _touching_elsewhere(push: Push, outline: float | None, rng: np.random.Generator) -> Push:
+    """The push with its finger displaced as if the outline were off, with this standard deviation."""
+    return push if outline is None else replace(push, tip=push.tip + outline * rng.standard_normal(2))
 
 
 def check_begins_clear(name: str, slider: Slider, pose: FloatArray, tip: FloatArray) -> None:

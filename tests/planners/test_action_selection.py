@@ -10,6 +10,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import hammer
 from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 from slipmap.planners.action_selection import _imagined, choose_push
 from slipmap.planners.exploration import NoReachablePush
@@ -182,3 +183,22 @@ def test_a_robot_that_can_make_no_tap_pushes_slowly():
     push = choose(tap=True, allowed=lambda push: push.creep == 0.0).push
     assert push.creep == 0.0
     assert push.speed <= PokeSettings().fastest
+
+
+def farthest_end_beside(push, belief):
+    """How much farther than the finger is displaced a push may end elsewhere, in the first hypothesis."""
+    slider, maps, imagined = belief.slider, belief.maps[:1], _imagined(push, POSE)
+    end = slider.rollout(maps, [imagined]).end[0, 0, :3]
+    ways = [1e-3 * np.array([np.cos(a), np.sin(a)]) for a in POSE[2] + np.arange(4) * np.pi / 2]
+    beside = [replace(imagined, tip=imagined.tip + way) for way in ways]
+    return add(slider.rollout(maps, beside).end[0, :, :3], end, belief.grid.centers).max() / 1e-3
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4, 6])
+def test_a_push_that_hinges_on_where_the_finger_touches_is_the_last_choice(seed):
+    """Hypotheses that agree on all else disagree most on whether the finger slips off a corner."""
+    _, truth = hammer()
+    alike = np.exp(0.1 * np.random.default_rng(seed).standard_normal((4, len(truth.mass[0]))))
+    belief = a_belief(alike * truth.mass)
+    choice = choose(seed, past=[choose(5)], belief=belief, tap=False)
+    assert farthest_end_beside(choice.push, belief) <= 3.0

@@ -43,7 +43,8 @@ class WorldNoise:
 
     # standard deviation of each coordinate of a push's start and end, m; truncated at 2.5 times that
     control: float = 2e-3
-    sensors: Noise = field(default_factory=lambda: SENSORS)  # one standard deviation of every row
+    # standard deviations of every row; the outline is the true one
+    sensors: Noise = field(default_factory=lambda: replace(SENSORS, outline=None))
     camera: float = 15.0  # poses per second during a push; 0 for only those before and after
 
     def __post_init__(self) -> None:

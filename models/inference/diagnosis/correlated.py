@@ -138,7 +138,9 @@ class CorrelatedLikelihood(PushLikelihood):
         noise = error.noise
         # Where the object rests at first, the start is a mean of many rows; limit these, as it may settle.
         start_rows = np.minimum([o.start_rows for o in measured.observations], AVERAGED)
-        super().__init__(prior, measured.observations, measured.pushes, noise.of_means(start_rows))
+        super().__init__(
+            prior, measured.observations, measured.pushes, noise.of_means(start_rows), noise.outline
+        )
         self.measured = measured
         self.error = error
         self.whiteners = measured.whiteners(error)

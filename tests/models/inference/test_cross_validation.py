@@ -52,7 +52,7 @@ def test_variances_are_those_of_ends_under_maps_and_starts_that_the_other_pushes
 ) -> None:
     """Maps and starts drawn as the Hessian and the tracker allow, a tenth as far, so that ends are linear."""
     likelihood, rng = left_out.likelihood, np.random.default_rng(2)
-    monkeypatch.setattr(likelihood, "start_sigma", noisier * likelihood.start_sigma)
+    monkeypatch.setattr(likelihood, "tracker_sigma", noisier * likelihood.tracker_sigma)
     prior, shrunk = likelihood.prior, 0.1
     ends, variances = left_out.ends()
     for b in (0, 3):
@@ -60,7 +60,7 @@ def test_variances_are_those_of_ends_under_maps_and_starts_that_the_other_pushes
         root = np.linalg.cholesky(np.linalg.inv(left_out.fits.hessian[k] + np.eye(prior.size)))
         z = left_out.fits.z[k] + shrunk * rng.standard_normal((600, prior.size)) @ root.T
         push = likelihood.observations[b].push
-        starts = push.start_pose + shrunk * likelihood.start_sigma[b] * rng.standard_normal((600, 1, 3))
+        starts = push.start_pose + shrunk * likelihood.tracker_sigma[b] * rng.standard_normal((600, 1, 3))
         drawn = prior.slider.rollout(prior.maps(z), [push], start_poses=starts).end[:, 0, :3]
         assert drawn.std(axis=0) / shrunk == pytest.approx(np.sqrt(variances[b]), rel=0.15)
         assert drawn.mean(axis=0) == pytest.approx(ends[b], abs=3e-4)
@@ -86,6 +86,20 @@ def test_what_the_record_leaves_open_of_the_fingers_track_counts(
         ends = slider.rollout(maps, beside[b].likely_pushes).end[0, :, :3]
         assert ends.var(axis=0).max() > 1e-9
         assert now[b] - before[b] == pytest.approx(ends.var(axis=0), rel=0.01)
+
+
+def test_what_the_outline_leaves_open_counts(left_out: LeftOut, monkeypatch: pytest.MonkeyPatch) -> None:
+    likelihood = left_out.likelihood
+    _, before = left_out.ends()
+    monkeypatch.setattr(likelihood, "outline", 4e-4)
+    _, now = left_out.ends()
+    ways = 4e-4 * np.random.default_rng(0).standard_normal((200, 2))
+    for b in range(4):
+        maps = likelihood.prior.maps(left_out.fits.z[left_out.fold[b]][None])
+        push = likelihood.observations[b].push
+        beside = [replace(push, tip=push.tip + way) for way in ways]
+        spread = likelihood.prior.slider.rollout(maps, beside).end[0, :, :3].std(axis=0)
+        assert np.sqrt(now[b] - before[b]) == pytest.approx(spread, rel=0.3)
 
 
 def known(off: FloatArray, variance: float, travel: FloatArray) -> LeftOut:

@@ -10,6 +10,7 @@ from slipmap.models.inference.error_model import (
     MEMORY,
     ErrorModel,
     SensorNoise,
+    outline_errors,
     sensor_noise,
     travelled,
 )
@@ -111,3 +112,31 @@ def test_starts_are_drawn_as_wide_as_a_mean_of_lasting_rows_is(recorded):
     )  # fmt: skip
     far, near = (drawn_ends(sure, observations, one).std(axis=0) for one in (lasting, noise))
     assert (far > 2.0 * near).all()
+
+
+def test_ends_are_drawn_with_outlines_that_would_be_seen_as_the_given_one(recorded):
+    """As if the finger were displaced, without any other noise."""
+    observations = [replace(one, finger=None) for one in observe_all(recorded.dataset)[:4]]
+    noise = SensorNoise(0.0, 0.0, 0.0, True, outline=4e-4)
+    sure = Belief.learned(
+        recorded.dataset, recorded.slider, recorded.truth[np.zeros(20, dtype=int)], np.full(20, 0.05),
+        method="", seed=0, trials=[], settings={},
+    )  # fmt: skip
+    drawn = drawn_ends(sure, observations, noise)
+    ways = 4e-4 * outline_errors(20)
+    ways -= ways.mean(axis=0)
+    for b, observation in enumerate(observations):
+        beside = [replace(observation.push, tip=observation.push.tip - way) for way in ways]
+        ends = recorded.slider.rollout(recorded.truth, beside).end[0, :, :3]
+        order = [np.argmin(np.abs(drawn[:, b] - end).sum(axis=1)) for end in ends]
+        assert drawn[order, b] == pytest.approx(ends, abs=2e-6)
+        assert ends.std(axis=0)[:2].max() > 5e-5
+
+
+def test_errors_of_outlines_have_unit_variance_and_are_largest_at_few_places():
+    for count in (20, 100):
+        errors = outline_errors(count)
+        assert errors.var(axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
+        assert errors.mean(axis=0) == pytest.approx([0.0, 0.0], abs=0.15)
+        far = np.linalg.norm(errors, axis=1)
+        assert (far > 2.4).sum() == count // 5 and far.max() < 2.5 * far.min() + 1e-12

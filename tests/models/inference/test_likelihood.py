@@ -9,19 +9,28 @@ from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
-from slipmap.models.measurements.simulated import GOOD_SENSORS
+from slipmap.models.measurements import Noise
+from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
 from slipmap.models.physics.rollout import Slider
+from slipmap.planners.exploration import candidate_pushes
 
 
-@pytest.fixture(scope="module")
-def likelihood(recorded) -> Likelihood:
-    dataset = recorded.dataset
+def likelihood_of(dataset) -> Likelihood:
     slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
     prior = MapPrior(slider, PriorSettings(), dataset.mass)
     return Likelihood(prior, observe_all(dataset, dataset.fit_trials), dataset.noise, LikelihoodSettings())
 
 
-def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(likelihood):
+@pytest.fixture(scope="module")
+def likelihood(recorded) -> Likelihood:
+    return likelihood_of(recorded.dataset)
+
+
+@pytest.mark.parametrize("outline", [None, 4e-4])
+def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(recorded, outline):
+    likelihood = likelihood_of(
+        replace(recorded.dataset, noise=replace(recorded.dataset.noise, outline=outline))
+    )
     rng = np.random.default_rng(0)
     d, B = likelihood.prior.size, len(likelihood.observations)
     z = 0.2 * rng.standard_normal((1, d))
@@ -42,6 +51,25 @@ def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(likelihood)
         assert (weights * change).sum() / 2e-5 == pytest.approx(
             equations.gradient[0, column], abs=2e-3 * size
         )
+
+
+def test_an_outline_that_is_off_is_as_if_the_object_started_elsewhere(recorded):
+    """Exact pushes that touch beside where they seem to: the offsets that undo this leave no residual."""
+    noise = Noise(position=1e-6, angle=1e-5, tip=1e-6, force=1e-4, outline=4e-4)
+    prior = likelihood_of(recorded.dataset).prior
+    z = prior.start(0.3)[None]
+    drawn = candidate_pushes(recorded.slider.grid, 0.006, np.random.default_rng(5), 6, length=(0.06, 0.1))
+    pushes = [candidate.push([0.05, -0.02, 0.7]) for candidate in drawn]
+    dataset = record_pushes(prior.slider, prior.maps(z), pushes, np.random.default_rng(7), noise=noise)
+    off = 4e-4 * np.random.default_rng(7).standard_normal((1, 6, 2))
+    likelihood = Likelihood(prior, observe_all(dataset), noise, LikelihoodSettings())
+
+    def misfit(offsets):
+        offsets = np.concatenate([offsets, np.zeros((1, 6, 1))], axis=-1)
+        cost = likelihood.linearise(z, offsets, np.ones(1), np.ones((1, 6))).cost
+        return cost[0] - 0.5 * ((offsets / likelihood.start_sigma) ** 2).sum(axis=-1)[0]
+
+    assert 50.0 * misfit(-off).sum() < misfit(0.0 * off).sum() < 0.5 * misfit(off).sum()
 
 
 def test_a_push_with_no_weight_does_not_count(likelihood):
