@@ -281,8 +281,9 @@ class Rests:
 
     def with_look(self, pose: FloatArray, offsets: FloatArray) -> Rests:
         """With another look at the object, at a pose (3,); one from which much is hidden does not count."""
-        # A place is complete once the object has rested there; while it slides slowly, it begins anew.
-        limit = _ELSEWHERE if self.complete else _ELSEWHERE / 4.0
+        # A place is complete once the object has rested there; while it slides slowly, it begins anew. Less
+        # than half would take the noise of poses at rest for sliding.
+        limit = _ELSEWHERE if self.complete else _ELSEWHERE / 2.0
         if (np.abs(pose - self.place) > limit).any():
             return replace(self, place=pose, looks=(), complete=False).with_look(pose, offsets)
         if np.isfinite(offsets).sum() < _SEEN_WELL * np.isfinite(self.offsets[0]).sum():

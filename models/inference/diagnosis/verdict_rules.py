@@ -64,8 +64,9 @@ CLEARLY_WORSE_GAIN = 40.0
 _CLEARLY_WORSE_QUICKLY = 0.1
 """The share where chance was not simulated, because searches are then cut short."""
 
-_NEARLY = 0.05
-"""The share for a candidate that predicts left-out pushes better than the best one does."""
+_NEARLY = 0.1
+"""The share for a candidate that predicts left-out pushes better than the best one does; the nats for it are
+`PROBE_GAIN`."""
 
 _FAR_WORSE = 0.6
 _FAR_WORSE_GAIN = 10.0
@@ -241,8 +242,8 @@ def with_better_predictors(
     """Accepted candidates, and others that gain nearly as much and predict left-out pushes better than the
     best accepted one, although they leave a little.
 
-    A distant tether, with six parameters, fits the small errors of a grid more closely than the tilted table,
-    with two, that it imitates; its predictions give it away.
+    A distant tether, with six parameters, fits the errors of a grid, of the contact and of an outline more
+    closely than the tilted table, with two, that it imitates; its predictions give it away.
 
     Args:
         accepted: names, at least one.
@@ -252,7 +253,8 @@ def with_better_predictors(
     best = max(accepted, key=lambda name: gains[name])
 
     def joins(name: str) -> bool:
-        return gains[name] > (1.0 - _NEARLY) * gains[best] and predicted[name] > predicted[best]
+        near = gains[name] > gains[best] - max(PROBE_GAIN, _NEARLY * gains[best])
+        return near and predicted[name] > predicted[best]
 
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]
 

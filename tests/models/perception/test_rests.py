@@ -49,6 +49,18 @@ def test_an_object_that_moves_or_is_hidden_is_not_at_rest():
     assert later.offsets[1] == pytest.approx(1e-3, abs=1e-12)
 
 
+def test_an_object_whose_pose_is_noisy_is_at_rest():
+    """Two seconds at 10 Hz, with the noise of poses of the flattest of the six objects."""
+    rng, complete = np.random.default_rng(0), 0
+    for _ in range(200):
+        rests = Rests((np.zeros(20),), HERE)
+        for noise in rng.normal(0.0, [4e-4, 4e-4, np.deg2rad(0.15)], (20, 3)):
+            if rests.wants(2 * THERE + noise):
+                rests = with_looks(rests, 2 * THERE + noise, 1)
+        complete += len(rests.offsets) == 2
+    assert complete > 190
+
+
 def test_points_that_are_never_seen_have_no_offset():
     nowhere = mean_offsets([np.array([np.nan, 1e-3, 2e-3]), np.array([np.nan, np.nan, 4e-3])])
     assert np.array_equal(nowhere, [np.nan, 1e-3, 3e-3], equal_nan=True)

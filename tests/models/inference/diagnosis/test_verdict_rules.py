@@ -260,13 +260,22 @@ def test_what_explains_less_stays_where_it_leaves_nothing_either():
 
 
 @pytest.mark.parametrize(
-    ("gain", "predicts", "joins"), [(1519.0, 52.8, True), (1519.0, 18.0, False), (1450.0, 52.8, False)]
+    ("gain", "predicts", "joins"), [(1519.0, 52.8, True), (1519.0, 18.0, False), (1390.0, 52.8, False)]
 )
 def test_what_leaves_a_little_joins_where_it_predicts_better(gain, predicts, joins):
     found = with_better_predictors(
         ["tether"], {"tether": 1562.0, "table_tilt": gain}, {"tether": 18.9, "table_tilt": predicts}
     )
     assert found == (["tether", "table_tilt"] if joins else ["tether"])
+
+
+def test_few_nats_separate_no_faint_effects():
+    """Errors of grid, contact and outline gain as much for an effect with more parameters."""
+    for gain, names in ((55.0, ["tether", "table_tilt"]), (44.0, ["tether"])):
+        found = with_better_predictors(
+            ["tether"], {"tether": 65.0, "table_tilt": gain}, {"tether": 16.8, "table_tilt": 17.6}
+        )
+        assert found == names
 
 
 def test_a_closer_fit_does_not_beat_what_predicts_better():
