@@ -278,7 +278,7 @@ def objection(
     for effect in effects:
         if holds_null(effect, learned):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
-            return f"{whose} 90 % interval is consistent with no effect at all"
+            return f"{whose} 90 % {HOLDS_NULL}"
     if locked_pushes_object(rough, before, after):
         return NOT_BETTER
     if locked_pushes_stay_off(before, after):
@@ -293,8 +293,10 @@ def objections(
 ) -> dict[str, str]:
     """Objections to rival answers, by name.
 
-    Rough pushes do not object to one that predicts them better than no effect, and nearly as well as a rival
-    to which nothing is objected. Otherwise chance would choose between effects that they cannot tell apart.
+    Neither its own interval nor rough pushes speak against one that predicts the locked pushes better than no
+    effect, and nearly as well as a rival to which nothing is objected. Otherwise chance would choose between
+    effects that the pushes cannot tell apart. An interval may hold no effect because parameters can stand in
+    for each other, such as a tether's stiffness and its length.
 
     Args:
         rivals: effects, what was learned with them, and errors of the locked pushes then, by name.
@@ -313,9 +315,14 @@ def objections(
         )
 
     return {
-        name: text for name, text in found.items() if not (text == NOT_BETTER and as_well(rivals[name][2]))
+        name: text
+        for name, text in found.items()
+        if not (text.endswith((NOT_BETTER, HOLDS_NULL)) and as_well(rivals[name][2]))
     }
 
+
+HOLDS_NULL = "interval is consistent with no effect at all"
+"""The objection of `holds_null`, after whose and which."""
 
 NOT_BETTER = "the locked pushes are not clearly predicted better with it"
 """The objection of `locked_pushes_object`."""

@@ -96,8 +96,13 @@ def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
 
 @pytest.mark.parametrize(
     ("share", "typical", "stays"),
-    [((0.1, 0.23), 2.1, True), ((0.1, 0.23), 4.0, False), ((0.0, 0.23), 2.1, False)],
-    ids=["as well", "worse", "no effect"],
+    [
+        ((0.1, 0.23), 2.1, True),
+        ((0.1, 0.23), 4.0, False),
+        ((0.0, 0.23), 2.1, True),
+        ((0.0, 0.23), 4.0, False),
+    ],
+    ids=["as well", "worse", "its interval holds no effect", "that and worse"],
 )
 def test_locked_pushes_do_not_choose_between_effects_that_predict_them_alike(share, typical, stays):
     """Rough pushes must improve by more than their scatter, which one effect reaches and the other misses."""
