@@ -76,8 +76,8 @@ def choose_push(
     Without past pushes, or without a belief if the strategy needs one, the choice is random. A push after
     which the object could fall from the table is not chosen: all hypotheses must keep it balanced by 20 mm,
     or by no less than before. Without a belief, its whole outline must stay on the table, or no less of it.
-    A push that ends elsewhere if the finger touches a millimetre beside is the last choice: hypotheses
-    disagree on it, but its end says where the outline is and little about the maps.
+    A push that ends elsewhere if the finger touches 1 mm to the side is the last choice: hypotheses disagree
+    on it, but its end depends on the outline more than on the maps.
 
     Args:
         grid: the object.

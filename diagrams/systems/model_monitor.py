@@ -174,11 +174,7 @@ class ModelMonitor(PythonSystem):
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
         self._error, self._error_held = (
-            ErrorModel(
-                push_misfit.pose_noise(sensors.position, angle, sensors.outline or 0.0),
-                model_error,
-                FORCE_ERROR,
-            )
+            ErrorModel(push_misfit.pose_noise(sensors.position, angle), model_error, FORCE_ERROR)
             for angle in (sensors.angle, UNSEEN_ANGLE)
         )
         self.declare_inputs("universes", "object_pose", "trials")

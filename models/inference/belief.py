@@ -32,6 +32,9 @@ LARGEST_FILE = 2**29
 END_ERRORS = "end_errors"
 """Key under which a belief stores the `cross_validation.end_errors` of the pushes that taught it."""
 
+OUTLINE_ERROR = "outline_error"
+"""Key under which a belief stores how far its outline may be off, see `Noise.outline`."""
+
 _PLAIN: dict[str, Callable[[Any], Any]] = {
     "finger_radius": float, "gravity": float, "dataset": str, "fingerprint": str, "method": str, "seed": int,
     "settings": dict, "versions": dict,
@@ -205,6 +208,11 @@ class Belief:
         # Files of earlier versions hold a single value.
         place, turn = np.reshape(self.settings.get(END_ERRORS, [0.0, 0.0]), (2, -1))
         return np.stack([place, place, turn / radius_of_gyration(self.grid)], axis=1)
+
+    @property
+    def outline_error(self) -> float:
+        """Standard deviation along x and y of where a finger touches the outline, m; 0 if it is exact."""
+        return float(self.settings.get(OUTLINE_ERROR, 0.0))
 
     @property
     def centers_of_mass(self) -> FloatArray:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.registry import effects_given
-from slipmap.models.inference.belief import END_ERRORS, Belief
+from slipmap.models.inference.belief import END_ERRORS, OUTLINE_ERROR, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.gauss_newton import fit as fit_maps
@@ -166,7 +166,7 @@ def learn(
     learned = mixed_belief(few, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     left_out = leave_out(every[0].likelihood, every[0].best)
-    told = {**learned.settings, END_ERRORS: end_errors(left_out, noise)}
+    told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
     belief = spread_out(replace(learned, settings=told), dataset)
     predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best

@@ -11,13 +11,13 @@ sampled. Huber's cost keeps a push that the model cannot explain from deciding e
 each push is known only as well as the tracker sees it; its offset is solved for together with the maps and
 eliminated from their equations (Schur complement).
 
-An outline that is off by t where the finger touches it acts like an object that starts elsewhere while its
-poses are still measured from where it was seen. So the offset is that of the start by the tracker's error s
-minus t; poses are moved back by the t to expect of it,
+An outline that is off by t where the finger touches it acts as if the object started elsewhere and its poses
+were measured from there. So the offset is a = s - t, where s is the tracker's error of the start. Predicted
+poses are moved back by the expected t,
 
-    a = s - t,    E(t | a) = -κ a,    κ = σ_t² / (σ_s² + σ_t²),
+    E(t | a) = -κ a,    κ = σ_t² / (σ_s² + σ_t²).
 
-and what t differs from that, less than the tracker's error, is neglected.
+The rest of t, whose standard deviation is below σ_s, is neglected, as is that t turns with the object.
 """
 
 from __future__ import annotations

@@ -330,7 +330,7 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
     Args:
         belief: K hypotheses.
         observations: B pushes.
-        noise: of the tracker and the outline.
+        noise: of the tracker.
 
     Returns:
         (K, B, 3) poses.
@@ -343,7 +343,7 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
     offsets = offsets * noise.of_means([observation.start_rows for observation in observations])
     # An outline that is off is as if the object started elsewhere and were measured from there.
     outlines = np.zeros((len(p), 1, 3))
-    outlines[:, 0, :2] = noise.outline * rng.permutation(outline_errors(len(p)))
+    outlines[:, 0, :2] = belief.outline_error * rng.permutation(outline_errors(len(p)))
     outlines -= np.einsum("k,kbi->bi", p, outlines)
     starts = np.array([observation.push.start_pose for observation in observations]) + offsets + outlines
     pushes = [observation.likely_pushes for observation in observations]

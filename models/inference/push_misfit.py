@@ -23,10 +23,10 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
 
-def pose_noise(position: float, angle: float, outline: float = 0.0) -> SensorNoise:
-    """Noise of observed poses: standard deviations of x and y each, m, of θ, rad, and of the outline, m. The
-    noise of a mean force is negligible beside the model error."""
-    return SensorNoise(position, angle, 0.0, declared=True, outline=outline)
+def pose_noise(position: float, angle: float) -> SensorNoise:
+    """Noise of observed poses: standard deviations of x and y each, m, and of θ, rad. The noise of a mean
+    force is negligible beside the model error."""
+    return SensorNoise(position, angle, 0.0, declared=True)
 
 
 def observation_of(push: Push, poses: FloatArray) -> Observation:

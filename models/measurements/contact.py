@@ -124,7 +124,8 @@ def _contact_rows(setup: Setup, trial: Trial, usual: PoseNoise) -> ContactRows:
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
         pressed = _moving(setup, pose, time, noise)
-    allowed = CALIBRATION_ERROR + 3.0 * float(np.hypot(noise.position, setup.noise.tip or 0.0))
+    beside = noise.position, setup.noise.tip or 0.0, setup.noise.outline or 0.0
+    allowed = CALIBRATION_ERROR + 3.0 * float(np.linalg.norm(beside))
     return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses), noise, allowed)
 
 

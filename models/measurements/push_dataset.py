@@ -193,8 +193,8 @@ class Noise:
     model is more exact.
 
     Attributes:
-        outline: distance by which the outline is off where a finger touches it, different from push to push.
-            An outline without it counts as exact.
+        outline: of where a finger touches the outline, along x and y each, independent from push to push. An
+            outline without it counts as exact.
 
     Raises:
         ValueError: a negative or not finite number.

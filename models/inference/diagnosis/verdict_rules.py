@@ -254,7 +254,8 @@ def with_better_predictors(
 
     def joins(name: str) -> bool:
         near = gains[name] > gains[best] - max(PROBE_GAIN, _NEARLY * gains[best])
-        return near and predicted[name] > predicted[best]
+        real = gains[name] >= _SHRUNK * predicted[name]
+        return near and real and predicted[name] > predicted[best]
 
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]
 
@@ -293,10 +294,10 @@ def objections(
 ) -> dict[str, str]:
     """Objections to rival answers, by name.
 
-    Neither its own interval nor rough pushes speak against one that predicts the locked pushes better than no
-    effect, and nearly as well as a rival to which nothing is objected. Otherwise chance would choose between
-    effects that the pushes cannot tell apart. An interval may hold no effect because parameters can stand in
-    for each other, such as a tether's stiffness and its length.
+    Rough pushes do not object to one that predicts them better than no effect, and nearly as well as a rival
+    to which nothing is objected; nor does the interval of a single effect. Otherwise chance would choose
+    between effects that the pushes cannot tell apart. An interval may include no effect because parameters
+    can stand in for each other, such as a tether's stiffness and its length.
 
     Args:
         rivals: effects, what was learned with them, and errors of the locked pushes then, by name.
@@ -310,15 +311,16 @@ def objections(
     supported = [after for name, (*_, after) in rivals.items() if name not in found and after is not None]
 
     def as_well(after: LockedErrors | None) -> bool:
-        return not (after is None or locked_pushes_object(False, before, after)) and any(
-            Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported
-        )
+        return not (
+            after is None
+            or locked_pushes_object(False, before, after)
+            or locked_pushes_stay_off(before, after)
+        ) and any(Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported)
 
-    return {
-        name: text
-        for name, text in found.items()
-        if not (text.endswith((NOT_BETTER, HOLDS_NULL)) and as_well(rivals[name][2]))
-    }
+    def weak(name: str, text: str) -> bool:
+        return text == NOT_BETTER or (text.endswith(HOLDS_NULL) and len(rivals[name][0]) == 1)
+
+    return {name: text for name, text in found.items() if not (weak(name, text) and as_well(rivals[name][2]))}
 
 
 HOLDS_NULL = "interval is consistent with no effect at all"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.belief import OUTLINE_ERROR, Belief
 from slipmap.models.inference.error_model import (
     MEMORY,
     ErrorModel,
@@ -117,12 +117,11 @@ def test_starts_are_drawn_as_wide_as_a_mean_of_lasting_rows_is(recorded):
 def test_ends_are_drawn_with_outlines_that_would_be_seen_as_the_given_one(recorded):
     """As if the finger were displaced, without any other noise."""
     observations = [replace(one, finger=None) for one in observe_all(recorded.dataset)[:4]]
-    noise = SensorNoise(0.0, 0.0, 0.0, True, outline=4e-4)
     sure = Belief.learned(
         recorded.dataset, recorded.slider, recorded.truth[np.zeros(20, dtype=int)], np.full(20, 0.05),
-        method="", seed=0, trials=[], settings={},
+        method="", seed=0, trials=[], settings={OUTLINE_ERROR: 4e-4},
     )  # fmt: skip
-    drawn = drawn_ends(sure, observations, noise)
+    drawn = drawn_ends(sure, observations, SensorNoise(0.0, 0.0, 0.0, True))
     ways = 4e-4 * outline_errors(20)
     ways -= ways.mean(axis=0)
     for b, observation in enumerate(observations):

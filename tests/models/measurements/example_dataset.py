@@ -60,7 +60,7 @@ def example_in(folder: Path) -> Example:
         "finger": {"radius": 0.005},
         "table": {"shape": "round", "center": [0.0, 0.1], "radius": 0.5},
         "gravity": 9.8,
-        "noise": {"position": 0.0002, "angle": 0.002, "tip": 0.0001, "force": 0.05},
+        "noise": {"position": 0.0002, "angle": 0.002, "tip": 0.0001, "force": 0.05, "outline": 0.0003},
         "trials": [
             {"file": name, "role": "heldout" if name.endswith("2.json") else "fit"} for name in records
         ],

@@ -214,9 +214,15 @@ def test_a_push_dataset_needs_no_object_name(example):
 
 
 def test_no_noise_counts_as_the_least_that_can_be_computed_with(example):
-    example.document["noise"] = {"position": 0, "angle": 0.0, "tip": 0, "force": 1e-300}
+    example.document["noise"] = {"position": 0, "angle": 0.0, "tip": 0, "force": 1e-300, "outline": 0}
     noise = read_dataset(example.write()).noise
-    assert (noise.position, noise.angle, noise.tip, noise.force) == (1e-6, 1e-5, 1e-6, 1e-4)
+    assert (noise.position, noise.angle, noise.tip, noise.force, noise.outline) == (
+        1e-6,
+        1e-5,
+        1e-6,
+        1e-4,
+        1e-6,
+    )
 
 
 @pytest.mark.parametrize("brackets", ["[" * 100_000, "- " * 50_000])

@@ -14,7 +14,7 @@ def test_everything_arrives(example):
     dataset = read_dataset(example.write())
     assert (dataset.name, dataset.description) == ("example", "a square pushed along +x")
     assert (dataset.height, dataset.mass, dataset.finger_radius, dataset.gravity) == (0.03, 1.2, 0.005, 9.8)
-    assert dataset.noise == Noise(0.0002, 0.002, 0.0001, 0.05)
+    assert dataset.noise == Noise(0.0002, 0.002, 0.0001, 0.05, 0.0003)
     assert dataset.table == Table("round", (0.0, 0.1), radius=0.5)
     assert len(dataset.grid) == 25 and dataset.grid.width == 0.02
     assert [trial.name for trial in dataset.trials] == list(example.records)
