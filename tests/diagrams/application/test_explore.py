@@ -128,7 +128,7 @@ def test_a_push_begins_where_the_one_before_ended(explored):
 
 def test_the_belief_predicts_the_push_that_it_did_not_learn_from(explored):
     belief = Belief.load(explored.folder / "out" / "belief.npz")
-    assert len(belief) == 20
+    assert len(belief) == 20 and belief.outline_error == explored.dataset.noise.outline == 4e-4
     assert len(belief.grid) == len(explored.dataset.grid)
     (judged,) = [trial for trial in explored.result["trials"] if trial["role"] == "heldout"]
     assert judged["final_add"] < 0.2 * judged["no_motion_add"]

@@ -14,10 +14,10 @@ from slipmap.models.measurements.push_dataset import Channel
 from slipmap.models.physics.rollout import Slider
 
 
-@pytest.fixture(scope="module")
-def likelihood(recorded) -> CorrelatedLikelihood:
+@pytest.fixture(scope="module", params=[None, 4e-4], ids=["outline exact", "outline uncertain"])
+def likelihood(recorded, request) -> CorrelatedLikelihood:
     tilt = [effect for effect in LIBRARY if effect.name == "table_tilt"]
-    d = recorded.dataset
+    d = replace(recorded.dataset, noise=replace(recorded.dataset.noise, outline=request.param))
     slider = Slider(d.grid, d.finger_radius, d.gravity, MEASURED_CONTACT, tilt)
     prior = MapPrior(slider, PriorSettings(modes=6), d.mass, 8.0)
     observations = [o for o in observe_all(d) if o.role == "fit"]
@@ -52,6 +52,18 @@ class TestRows:
                     sizes.append(np.abs(difference).ravel())
             # Contacts change their state here and there: the bulk decides.
             assert np.quantile(np.concatenate(errors), 0.9) < 1e-5 * np.concatenate(sizes).max()
+
+    @pytest.mark.parametrize("column", range(3))
+    def test_derivatives_by_the_start_agree_with_differences(self, likelihood, point, column) -> None:
+        z, offsets = point
+        step = np.zeros_like(offsets)
+        step[:, column] = 1e-7
+        above, below = likelihood.rows(z, offsets + step), likelihood.rows(z, offsets - step)
+        errors = [
+            np.abs(row.pose_slopes[..., column - 3] - (up.pose - down.pose) / 2e-7).ravel()
+            for row, up, down in zip(likelihood.rows(z, offsets), above, below, strict=True)
+        ]
+        assert np.quantile(np.concatenate(errors), 0.9) < 1e-4
 
     def test_gradient_is_that_of_the_cost(self, likelihood, point) -> None:
         z, offsets = point
