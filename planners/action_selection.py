@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 _SAFE = 0.02  # m; least balance margin after a push, which may end some millimetres off
 _FARTHEST = 2.0  # times the finger's way; no point of a pushed object goes farther
 _TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
-# Where a finger touches so far elsewhere, m, a steady push ends no more than so many times farther away. Most
+# Where a finger touches so far elsewhere, m, a robust push ends no more than so many times farther away. Most
 # amplify it by less than 2, and those on which the finger may slip off a corner by 3 to 50.
-_ELSEWHERE, _STEADY = 1e-3, 3.0
+_ELSEWHERE, _MAGNIFIED = 1e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +122,8 @@ def choose_push(
         worth = _disagreements(choices, pose, belief)
     else:
         worth = rng.random(len(choices))
-    steady = _steady(choices, pose, grid, finger_radius, belief)
-    for index in np.lexsort((-worth, ~steady)):
+    robust = _robust(choices, pose, grid, finger_radius, belief)
+    for index in np.lexsort((-worth, ~robust)):
         if allowed(choices[index].push):
             if question is None:
                 return choices[index]
@@ -187,7 +187,7 @@ def _balanced(
     return np.asarray((least[:-1] >= wanted) & ~falls)
 
 
-def _steady(
+def _robust(
     choices: Sequence[Choice], pose: FloatArray, grid: CellGrid, finger_radius: float, belief: Belief | None
 ) -> NDArray[np.bool_]:
     """(S,) whether each push ends about where it should if the finger touches a little elsewhere."""
@@ -206,7 +206,7 @@ def _steady(
     except RolloutError:
         return np.zeros(len(choices), dtype=bool)
     off = add(ends[:, 1:], ends[:, :1], grid.centers).max(axis=1)
-    return np.asarray(off <= _STEADY * _ELSEWHERE)
+    return np.asarray(off <= _MAGNIFIED * _ELSEWHERE)
 
 
 def _uniform(grid: CellGrid, finger_radius: float, table: Table | None) -> tuple[Slider, Maps]:
