@@ -251,6 +251,17 @@ def test_the_first_pose_is_compared_whatever_follows(tmp_path):
         assert contact_rows(dataset, [trial])[0].time[0] == trial.object_pose.time[0]
 
 
+def test_an_outline_that_may_be_off_allows_as_much_more_depth():
+    dataset = straight_pushes()
+    exact, off = (
+        contact_rows(replace(dataset, noise=replace(dataset.noise, outline=outline)), dataset.trials)[
+            0
+        ].allowed
+        for outline in (None, 1e-2)
+    )
+    assert exact < 0.01 < 0.03 < off < 0.04
+
+
 def test_one_push_that_seems_deep_is_not_left_out_if_few_others_can_be_judged(tmp_path):
     """Contact of pushes whose angles are in degrees is not judged."""
     dataset = straight_pushes(6)
