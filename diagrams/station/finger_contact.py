@@ -28,6 +28,12 @@ _THICKNESS = 1e-5
 """m. At a corner sharper than a right angle, the end of a wall sticks out by less than this. A ball may sink
 in much deeper, since its centre stays outside."""
 
+_YIELD = 3e-4
+"""Depth to which a wall would yield under the weight of the object, m; a push needs a quarter to a half of it.
+On harder walls the object bounces off the finger. `lagged` contact computes friction from the load of the
+step before, so the finger of the arm, which gives way a little upwards, then lifts the object's side by more
+than friction allows, and light or low objects rock for whole pushes."""
+
 _SEAM = 1e-6  # m, by which blocks may be apart that share a side
 _SHORTEST = 1e-5  # m, side of an outline
 
@@ -62,7 +68,7 @@ def push_with_balls(
         others.Add(geometry_ids=plant.GetCollisionGeometriesForBody(plant.get_body(BodyIndex(index))))
     declaration = geometry.CollisionFilterDeclaration()
     declaration.ExcludeBetween(geometry.GeometrySet(list(instead_of)), blocks)
-    own = side_contact(true_object, -float(plant.gravity_field().gravity_vector()[2]))
+    own = side_contact(true_object, -float(plant.gravity_field().gravity_vector()[2]), _YIELD)
     walls = [
         plant.RegisterCollisionGeometry(body, X_OG, wall, f"wall_{index}", own)
         for index, (X_OG, wall) in enumerate(walls_of(true_object))

@@ -97,18 +97,21 @@ def foot_frictions(true_object: TrueObject, table_friction: float) -> FloatArray
     return partner_friction(true_object.mu, table_friction, f"object {true_object.name} on the table")
 
 
-def side_contact(true_object: TrueObject, gravity: float) -> geometry.ProximityProperties:
-    """Contact properties of the object's side, against which a finger pushes.
+def side_contact(
+    true_object: TrueObject, gravity: float, sink: float = _BLOCK_SINK
+) -> geometry.ProximityProperties:
+    """Contact properties of the object's side, which a finger touches.
 
     Args:
         gravity: m/s², which determines the stiffness.
+        sink: depth to which the whole object would sink in under its weight, m; by default that of blocks.
 
     Raises:
         ValueError: see `partner_friction`.
     """
     wanted = np.array([true_object.mu_finger])
     (mu,) = partner_friction(wanted, FINGER_FRICTION, f"object {true_object.name} at the finger")
-    return _contact(true_object.total_mass * gravity / _BLOCK_SINK, mu)
+    return _contact(true_object.total_mass * gravity / sink, mu)
 
 
 def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
