@@ -28,12 +28,14 @@ _THICKNESS = 1e-5
 """m. At a corner sharper than a right angle, the end of a wall sticks out by less than this. A ball may sink
 in much deeper, since its centre stays outside."""
 
-_YIELD = 3e-4
-"""Depth to which a wall would yield under the weight of the object, m; a push needs a quarter to a half of it.
-On harder walls the object bounces off the finger. `lagged` contact computes friction from the load of the
-step before, so the finger of the arm, which gives way a little upwards, then lifts the object's side by more
-than friction allows, and light or low objects rock for whole pushes."""
+_YIELD = 2e-4
+"""Depth to which a wall would yield under the weight of the object, m. `lagged` contact computes friction from
+the load of the step before. On harder walls, or with more dissipation, loads change from step to step: the
+finger of the arm, which gives way a little upwards, then lifts the object's side by more than friction
+allows, and light or low objects rock for whole pushes."""
 
+_DISSIPATION = 2.0  # of the walls, s/m
+_USUAL = 0.75  # force of a push, as a share of what makes the object slide without turning
 _SEAM = 1e-6  # m, by which blocks may be apart that share a side
 _SHORTEST = 1e-5  # m, side of an outline
 
@@ -53,7 +55,7 @@ def push_with_balls(
         plant: with the object of `add_sliding_object`, the finger, and all else that has a shape.
         true_object: the object.
         balls: bodies of the finger, and the centres (3,) of their balls in these bodies' frames, m.
-        radius: of the balls, m.
+        radius: of the finger, m; the balls are larger by `skin_of` the object.
         contact: stiffness of the balls if any, and a friction coefficient of `FINGER_FRICTION`.
         instead_of: the finger's shapes that no longer touch the object's blocks.
 
@@ -68,21 +70,28 @@ def push_with_balls(
         others.Add(geometry_ids=plant.GetCollisionGeometriesForBody(plant.get_body(BodyIndex(index))))
     declaration = geometry.CollisionFilterDeclaration()
     declaration.ExcludeBetween(geometry.GeometrySet(list(instead_of)), blocks)
-    own = side_contact(true_object, -float(plant.gravity_field().gravity_vector()[2]), _YIELD)
+    gravity = -float(plant.gravity_field().gravity_vector()[2])
+    own = side_contact(true_object, gravity, _YIELD, _DISSIPATION)
     walls = [
         plant.RegisterCollisionGeometry(body, X_OG, wall, f"wall_{index}", own)
         for index, (X_OG, wall) in enumerate(walls_of(true_object))
     ]
+    ball = geometry.Sphere(radius + skin_of(true_object))
     tips = [
-        plant.RegisterCollisionGeometry(
-            finger, RigidTransform(center), geometry.Sphere(radius), f"ball_{index}", contact
-        )
+        plant.RegisterCollisionGeometry(finger, RigidTransform(center), ball, f"ball_{index}", contact)
         for index, (finger, center) in enumerate(balls)
     ]
     declaration.ExcludeBetween(geometry.GeometrySet(walls + tips), others)
     declaration.ExcludeWithin(geometry.GeometrySet(tips))
     # The plant does not expose its scene graph, but a parser does.
     Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
+
+
+def skin_of(true_object: TrueObject) -> float:
+    """Depth to which a usual push sinks in, m: with a skin of that on the finger, the object is then pushed
+    as by a rigid finger without it."""
+    friction = float(true_object.mass @ true_object.mu) / true_object.total_mass
+    return _USUAL * friction * _YIELD
 
 
 def push_with_gripper(plant: MultibodyPlant, true_object: TrueObject, arm: Arm) -> None:

@@ -60,10 +60,12 @@ def table_contact(friction: float) -> geometry.ProximityProperties:
     return _contact(_TABLE_STIFFNESS, friction)
 
 
-def _contact(stiffness: float, friction: float) -> geometry.ProximityProperties:
+def _contact(
+    stiffness: float, friction: float, dissipation: float = _DISSIPATION
+) -> geometry.ProximityProperties:
     properties = geometry.ProximityProperties()
     geometry.AddContactMaterial(
-        dissipation=_DISSIPATION,
+        dissipation=dissipation,
         point_stiffness=stiffness,
         friction=CoulombFriction(friction, friction),
         properties=properties,
@@ -98,20 +100,21 @@ def foot_frictions(true_object: TrueObject, table_friction: float) -> FloatArray
 
 
 def side_contact(
-    true_object: TrueObject, gravity: float, sink: float = _BLOCK_SINK
+    true_object: TrueObject, gravity: float, sink: float = _BLOCK_SINK, dissipation: float = _DISSIPATION
 ) -> geometry.ProximityProperties:
-    """Contact properties of the object's side, which a finger touches.
+    """Contact properties of the object's side, which a finger touches; by default those of blocks.
 
     Args:
         gravity: m/s², which determines the stiffness.
-        sink: depth to which the whole object would sink in under its weight, m; by default that of blocks.
+        sink: depth to which the whole object would sink in under its weight, m.
+        dissipation: Hunt and Crossley's, s/m.
 
     Raises:
         ValueError: see `partner_friction`.
     """
     wanted = np.array([true_object.mu_finger])
     (mu,) = partner_friction(wanted, FINGER_FRICTION, f"object {true_object.name} at the finger")
-    return _contact(true_object.total_mass * gravity / sink, mu)
+    return _contact(true_object.total_mass * gravity / sink, mu, dissipation)
 
 
 def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
