@@ -29,10 +29,12 @@ _THICKNESS = 1e-5
 in much deeper, since its centre stays outside."""
 
 _YIELD = 2e-4
-"""Depth to which a wall would yield under the weight of the object, m. `lagged` contact computes friction from
-the load of the step before. On harder walls, or with more dissipation, loads change from step to step: the
-finger of the arm, which gives way a little upwards, then lifts the object's side by more than friction
-allows, and light or low objects rock for whole pushes."""
+"""Depth to which a wall would yield under the weight of the object, m.
+
+`lagged` contact computes friction from the load of the step before. On harder walls, or with more dissipation,
+loads change from step to step: the finger of the arm, which gives way a little upwards, then lifts the side of
+the object by more than friction allows, and light or low objects rock for whole pushes.
+"""
 
 _DISSIPATION = 2.0  # of the walls, s/m
 _USUAL = 0.75  # force of a push, as a share of what makes the object slide without turning
