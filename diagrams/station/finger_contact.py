@@ -31,9 +31,9 @@ in much deeper, since its centre stays outside."""
 _YIELD = 2e-4
 """Depth to which a wall would yield under the weight of the object, m.
 
-`lagged` contact computes friction from the load of the step before. On harder walls, or with more dissipation,
-loads change from step to step: the finger of the arm, which gives way a little upwards, then lifts the side of
-the object by more than friction allows, and light or low objects rock for whole pushes.
+`lagged` contact computes friction from the load of the step before. On harder walls, or with more
+dissipation, loads change from step to step: the finger of the arm, which gives way a little upwards, then
+lifts the side of the object by more than friction allows, and light or low objects rock for whole pushes.
 """
 
 _DISSIPATION = 2.0  # of the walls, s/m
