@@ -1,0 +1,167 @@
+"""Pushes by the arm of the robot's cell, without camera, compared with the cell-grid model at the true maps.
+
+`python tests/diagrams/station/arm_pushes.py wrench spray_gun` makes sixty random pushes of each object.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+
+import slipmap
+from slipmap.diagrams.execution.push_executor import PushExecutor
+from slipmap.diagrams.execution.requests import ActivePush
+from slipmap.diagrams.station.arm import HOME, arm_model
+from slipmap.diagrams.station.sliding_object import BODY, resting_pose, sink_of
+from slipmap.diagrams.station.station import Station, take_fixed_steps
+from slipmap.models.geometry import placed, rotated
+from slipmap.models.inference.observations import observe
+from slipmap.models.measurements.push_dataset import Channel, Trial
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.paper_notation import add
+from slipmap.planners.table_push import TablePush
+
+FINGER_RADIUS = 0.008
+SPEED = 0.077  # m/s, as in an exploration
+ROCKS = 1e-4  # rad, tilt of an object that does not lie on its feet
+_SAMPLE = 0.01  # s
+_DOWN = 0.006  # m; the finger's end is lower during a push
+_APPROACH = 0.03  # m
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a push, and what the model says."""
+
+    moved: float  # m
+    off: float  # average distance (ADD) between the end in the plant and the model's, m
+    turned_off: float  # angle between the two, rad
+    rocking: float  # share of the steps in motion with a tilt of more than `ROCKS`
+
+
+class ArmCell:
+    """A station and an executor. The arm does not keep clear of the object's upper parts."""
+
+    def __init__(self, name: str) -> None:
+        scenario = slipmap.Scenario()
+        thing = replace(scenario.object, name=name, pose=[0.0, 0.0, 0.0])
+        builder = DiagramBuilder()
+        self.station = builder.AddSystem(Station(replace(scenario, object=thing)))
+        self.thing = self.station.true_object
+        self._executor = builder.AddSystem(PushExecutor(arm_model(), HOME, scenario.execution))
+        for port in ("iiwa.position", "gripper.position", "gripper.force_limit"):
+            builder.Connect(self._executor.GetOutputPort(port), self.station.GetInputPort(port))
+        for port in ("iiwa.position_measured", "iiwa.torque_external"):
+            builder.Connect(self.station.GetOutputPort(port), self._executor.GetInputPort(port))
+        builder.ExportInput(self._executor.GetInputPort("push"), "push")
+        self._simulator = Simulator(builder.Build())
+        take_fixed_steps(self._simulator)
+        self._slider = slipmap.Slider(self.thing.grid, finger_radius=FINGER_RADIUS)
+        self._count = 0
+
+    def push(self, begin: np.ndarray, end: np.ndarray, angle: float) -> Outcome | None:
+        """Push the object, which lies at the world's origin turned by an angle; None if the arm cannot.
+
+        Args:
+            begin, end: (2,) of the finger in the object's frame, m.
+        """
+        trial, tilts = self._recorded(begin, end, np.array([0.0, 0.0, angle]))
+        if trial is None:
+            return None
+        push = observe(trial).push
+        predicted = self._slider.rollout(self.thing.maps, [push]).end[0, 0, :3]
+        measured = trial.object_pose.values[-1]
+        return Outcome(
+            float(np.linalg.norm(measured[:2] - push.start_pose[:2])),
+            float(add(predicted, measured, self.thing.grid.centers)),
+            abs(float(predicted[2] - measured[2])),
+            float(np.mean(tilts > ROCKS)) if len(tilts) else 0.0,
+        )
+
+    def _recorded(
+        self, begin: np.ndarray, end: np.ndarray, pose: np.ndarray
+    ) -> tuple[Trial | None, np.ndarray]:
+        """The push without noise of sensors, and the object's tilts in the steps in which it moves, rad."""
+        root = self._simulator.get_mutable_context()
+        plant, sink = self.station.plant, sink_of(self.thing)
+        of_plant = plant.GetMyMutableContextFromRoot(root)
+        plant.SetFreeBodyPose(of_plant, plant.GetBodyByName(BODY), resting_pose(*pose, sink=sink))
+        self._count += 1
+        request = ActivePush(self._count, TablePush(placed(begin, pose), placed(end, pose), SPEED))
+        self._simulator.get_system().GetInputPort("push").FixValue(root, Value[object](request))
+        status, context = self._executor.GetOutputPort("status"), self._executor.GetMyContextFromRoot(root)
+        steps, rows = [], []
+
+        def watch(now: Context) -> EventStatus:
+            said = status.Eval(context)
+            if said.push_id == self._count and said.mode in ("home", "refused"):
+                return EventStatus.ReachedTermination(self._executor, said.mode)
+            seen = self.station.GetOutputPort("truth.object_pose")
+            X_WO = seen.Eval(self.station.GetMyContextFromRoot(now))
+            R = X_WO.rotation().matrix()
+            placed_at = [*X_WO.translation()[:2], np.arctan2(R[1, 0], R[0, 0])]
+            steps.append([*placed_at, np.hypot(R[2, 0], R[2, 1])])
+            if not rows or now.get_time() > rows[-1][0] + _SAMPLE - 1e-6:
+                X_WT = self._executor.GetOutputPort("tip_pose").Eval(context)
+                rows.append([now.get_time(), *X_WT.translation(), *placed_at])
+            self.station.after_step(now)
+            return EventStatus.DidNothing()
+
+        self._simulator.set_monitor(watch)
+        self._simulator.AdvanceTo(root.get_time() + 20.0)
+        recording, table = np.array(rows), np.array(steps)
+        low = recording[recording[:, 3] < _DOWN]
+        moving = np.abs(np.diff(table[:, :3], axis=0)).max(axis=1) > 1e-7
+        if status.Eval(context).mode == "refused" or len(low) < 2:
+            return None, table[:0, 3]
+        ends = low[[0, -1], 4:]
+        ends[:, 2] = np.unwrap(ends[:, 2])
+        time = low[:, 0] - low[0, 0]
+        trial = Trial("push", "fit", Channel(time[[0, -1]], ends), Channel(time, low[:, 1:3]), None)
+        return trial, table[1:][moving, 3]
+
+
+def random_pushes(thing: TrueObject, count: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Beginnings and ends in the object's frame, (2,) m, and angles of the object, rad.
+
+    They meet the outline at random places, up to 40° from its normal, and go on for 2 to 6 cm.
+    """
+    rng = np.random.default_rng(seed)
+    outline = shapely.orient_polygons(thing.grid.polygon)
+    while count:
+        share, lean = rng.uniform(0.0, 1.0), rng.uniform(-0.7, 0.7)
+        travel, angle = rng.uniform(0.02, 0.06), rng.uniform(-np.pi, np.pi)
+        place, beside = (
+            shapely.get_coordinates(outline.exterior.interpolate(share + more, normalized=True))[0]
+            for more in (0.0, 1e-4)
+        )
+        along = (beside - place) / np.linalg.norm(beside - place)
+        way = rotated(np.array([-along[1], along[0]]), lean)
+        begin = place - _APPROACH * way
+        if outline.distance(shapely.Point(begin)) > 1.1 * FINGER_RADIUS:
+            count -= 1
+            yield begin, begin + (_APPROACH + travel) * way, angle
+
+
+def main() -> None:
+    """Print a row for each object that is named."""
+    print("ADD of the ends from the model's: median, 90 %, largest, mm; pushes that rock in more than 10 %")
+    for name in sys.argv[1:]:
+        cell = ArmCell(name)
+        found = [cell.push(*push) for push in random_pushes(cell.thing, 60, seed=5)]
+        made = [outcome for outcome in found if outcome is not None and outcome.moved > 1e-4]
+        off = 1e3 * np.array([outcome.off for outcome in made])
+        median, most = np.quantile(off, [0.5, 0.9])
+        rocking = sum(outcome.rocking > 0.1 for outcome in made)
+        print(f"{name}: {len(made)} pushes, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock")
+
+
+if __name__ == "__main__":
+    main()
