@@ -104,6 +104,8 @@ def _read(
             raise DatasetError(f"{str(source)!r}: there is no such file or folder; expected {_KINDS}")
         is_folder = source.is_dir()
         description = source / DESCRIPTION_FILE if is_folder else source
+        if is_folder and object_name is None and not description.exists():
+            _refuse_parent_of_datasets(source)
         if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
             return _read_files(source, object_name, progress, keep_all)
         if object_name is not None:
@@ -272,6 +274,14 @@ def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Tri
 
 
 # Files of pushes whose object is named or described elsewhere.
+
+
+def _refuse_parent_of_datasets(source: Path) -> None:
+    """Raise DatasetError if folders in this one are datasets, as in a run's folder."""
+    inside = sorted(found.parent for found in source.glob(f"*/{DESCRIPTION_FILE}"))
+    if inside:
+        names = ", ".join(map(str, inside[:3])) + (" …" if len(inside) > 3 else "")
+        raise DatasetError(f"{source}: this folder is not a dataset but holds some; give one: {names}")
 
 
 def _read_files(

@@ -1,5 +1,6 @@
 import math
 import os
+import shutil
 
 import pytest
 from shapely.geometry import LinearRing
@@ -206,6 +207,17 @@ def test_an_empty_folder_or_a_file_of_another_kind(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(DatasetError, match="this kind of file cannot be read; expected a push dataset"):
         read_dataset(tmp_path / "notes.txt")
+
+
+def test_the_folder_of_a_run_names_the_dataset_in_it(example, tmp_path):
+    """Beside the pushes lie files such as run.json, which could be a recording of the MIT dataset."""
+    written = example.write()
+    folder = written if written.is_dir() else written.parent
+    run = tmp_path / "run"
+    shutil.copytree(folder, run / "pushes")
+    (run / "run.json").write_text("{}")
+    with pytest.raises(DatasetError, match=f"holds some; give one: {run / 'pushes'}$"):
+        read_dataset(run)
 
 
 def test_a_push_dataset_needs_no_object_name(example):
