@@ -116,10 +116,12 @@ class ArmCell:
 
         self._simulator.set_monitor(watch)
         self._simulator.AdvanceTo(root.get_time() + 20.0)
+        ended = status.Eval(context)
+        assert ended.push_id == self._count and ended.mode in ("home", "refused"), ended
         recording, table = np.array(rows), np.array(steps)
         low = recording[recording[:, 3] < _DOWN]
         moving = np.abs(np.diff(table[:, :3], axis=0)).max(axis=1) > 1e-7
-        if status.Eval(context).mode == "refused" or len(low) < 2:
+        if ended.mode == "refused" or len(low) < 2:
             return None, table[:0, 3]
         ends = low[[0, -1], 4:]
         ends[:, 2] = np.unwrap(ends[:, 2])

@@ -211,10 +211,8 @@ def test_an_empty_folder_or_a_file_of_another_kind(tmp_path):
 
 def test_the_folder_of_a_run_names_the_dataset_in_it(example, tmp_path):
     """Beside the pushes lie files such as run.json, which could be a recording of the MIT dataset."""
-    written = example.write()
-    folder = written if written.is_dir() else written.parent
     run = tmp_path / "run"
-    shutil.copytree(folder, run / "pushes")
+    shutil.copytree(example.write(), run / "pushes")
     (run / "run.json").write_text("{}")
     with pytest.raises(DatasetError, match=f"holds some; give one: {run / 'pushes'}$"):
         read_dataset(run)
