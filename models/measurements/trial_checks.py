@@ -56,7 +56,10 @@ _THROUGH = 0.01  # m
 _MOST_ROWS = 500  # of a track, compared with the outline
 _LONERS = 10  # one push in this many may be left out, at least one,
 _FEWEST_TRIALS = 5  # if there are at least this many
-_ALONE = 1.5  # times as deep as the other pushes
+_ALONE = 1.5  # times as deep, or as far away, as the other pushes
+_NEVER_NEAR = 0.03  # m of air that no wrong outline, finger or clock explains
+_UNSEEN = 0.15  # s between rows in which a finger may come and go
+_FAR, _TIMES_FARTHER = 3.0, 50.0  # m, and times the others' median, that no object is pushed
 
 _PULLS = (
     "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
@@ -153,14 +156,15 @@ def check_trials(
     if not chosen:
         raise DatasetError(f"{where}: every trial says `keep: false`; at least one push is needed")
     warnings = _copies(chosen, where)
-    found: dict[str, list[str]] = {}
-    for trial in chosen:
-        for fault in _faults(setup, trial, where):
-            found.setdefault(fault, []).append(trial.name)
+    doubts = [(trial.name, fault) for trial in chosen for fault in _faults(setup, trial, where)]
     # A frozen tracker or degrees for rad are reported already; do not report their consequences.
     sound = [one for one in chosen if not _stands_still(setup, one) and not _degrees(one.object_pose, "")]
     seen = contact_rows(setup, sound)
     odd, told, frame_wrong = _judged(setup, chosen, seen, where, lambda trial: bool(keep(trial)))
+    found: dict[str, list[str]] = {}  # what was left out concerns the dataset no longer
+    for name, fault in doubts:
+        if name not in odd:
+            found.setdefault(fault, []).append(name)
     complaint = None if frame_wrong else force_complaint(setup, seen)
     if complaint is not None:
         found.pop(_PULLS, None)  # the complaint is its cause
@@ -215,7 +219,8 @@ def _judged(
     """Names of trials to leave out, warnings, and whether the object's frame is wrong.
 
     A push is left out if its finger goes deeper than calibration errors allow after the common cause is
-    corrected, or if the object is carried, as long as this holds for at most a tenth of the pushes.
+    corrected, if the object is carried, or if it moves as no push moves it (`_no_pushes`), as long as this
+    holds for at most a tenth of the pushes.
     """
     carried = {trial.name: found[0] for trial in trials if (found := carries(setup, trial))}
     few = _few(len(trials))
@@ -237,6 +242,11 @@ def _judged(
             f"{first}{more}: {faults[first]}; is this a recording of several pushes, or is a frame wrong?"
         )
         faults = {}
+    none = {name: fault for name, fault in _no_pushes(setup, trials, pushes).items() if name not in faults}
+    if len(none) + len(faults) <= few and not (fit and fit <= none.keys() | faults):
+        faults |= none
+        pushes = [rows for rows in pushes if rows.trial.name not in none]
+        deep = [rows for rows in deep if rows.trial.name not in none]
     if deep:
         cause = common_cause(setup, pushes, len(deep))
         fixed = (
@@ -278,6 +288,67 @@ def _judged(
             kinds.setdefault(faults[name], []).append(name)
         warnings += [f"{parsing.listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
     return odd, warnings, frame_wrong
+
+
+def _no_pushes(setup: Setup, trials: Sequence[Trial], pushes: Sequence[ContactRows]) -> dict[str, str]:
+    """Why single trials cannot be pushes, by name: the object moves with the finger far away all the time, or
+    incomparably farther than in the others. Empty if too few can be judged."""
+    trials = [trial for trial in trials if not _degrees(trial.object_pose, "")]
+    noise = [float(np.hypot(rows.noise.position, setup.reach * rows.noise.angle)) for rows in pushes]
+    least = _least_motion(setup, max(_NOTABLE_MOTION, 5.0 * float(np.median(noise or [0.0]))))
+    moved = {trial.name: float(np.max(_shifts(setup, trial))) for trial in trials}
+    away = {
+        trial.name: gap
+        for trial in trials
+        if moved[trial.name] > least and (gap := _least_gap(setup, trial, least)) is not None
+    }
+    far = [name for name, gap in away.items() if gap > _NEVER_NEAR]
+    # A wrong frame also leaves the finger away in some pushes; then it goes deep, or is not near, in others.
+    deep = sum(map(_too_deep, pushes))
+    near = [gap for name, gap in away.items() if name not in far] or [np.inf]
+    fits = np.median(near) < 2.0 * CALIBRATION_ERROR and len(far) + deep <= _few(len(away))
+    found = {}
+    for name in far:
+        if fits and away[name] > _ALONE * max(near):
+            found[name] = (
+                f"the object moves {_length_text(moved[name])}, but the finger stays"
+                f" {_length_text(away[name])} or more away from it"
+            )
+    went = {trial.name: float(np.max(_ways(trial))) for trial in trials}
+    for name, distance in went.items():
+        others = float(np.median([one for other, one in went.items() if other != name] or [distance]))
+        if distance > max(_FAR, _TIMES_FARTHER * others):
+            found[name] = (
+                f"the object moves {_length_text(distance)} (are positions in m?), but in the other pushes a"
+                f" median of {_length_text(others)}"
+            )
+    return found
+
+
+def _least_gap(setup: Setup, trial: Trial, least: float) -> float | None:
+    """Least air between finger and object from rest until the object stands still again, m.
+
+    Less what either moves between rows, since it may lie off a straight line by as much. None if the object
+    may slide already at first, or if rows are so far apart that a finger may come and go between them.
+    """
+    if trial.ends_only or not _begins_at_rest(setup, trial) or trial.initial_velocity().any():
+        return None
+    pose, tip, shift = trial.object_pose, trial.tip_pose, _shifts(setup, trial)
+    begin = pose.time[max(int(np.argmax(shift > 0.2 * least)) - 1, 0)]
+    end = pose.time[int(np.argmax(shift > 0.9 * shift.max()))]
+    air = np.inf
+    for channel in (pose, tip):
+        rows = channel.time[(channel.time > begin) & (channel.time < end)]
+        rows = np.concatenate([[begin], rows, [end]])
+        if np.max(np.diff(rows)) > _UNSEEN:
+            return None
+        step = float(np.max(np.hypot(*np.diff(channel.at(rows)[:, :2], axis=0).T)))
+        air = min(air, float(np.min(gaps(setup, tip.at(rows), pose.at(rows)))) - step)
+    return air
+
+
+def _length_text(length: float) -> str:
+    return f"{length:.3g} m" if length > 1.0 else f"{1e3 * length:.3g} mm"
 
 
 def _few(count: int) -> int:
@@ -494,9 +565,14 @@ def _moved(setup: Setup, trial: Trial) -> bool:
 
 def _shifts(setup: Setup, trial: Trial) -> FloatArray:
     """(T,) largest displacement of a point of the outline since the first pose, m."""
-    pose = trial.object_pose.values
-    shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + setup.reach * np.abs(pose[:, 2] - pose[0, 2])
-    return np.asarray(shift)
+    angle = trial.object_pose.values[:, 2]
+    return np.asarray(_ways(trial) + setup.reach * np.abs(angle - angle[0]))
+
+
+def _ways(trial: Trial) -> FloatArray:
+    """(T,) distance of the object frame from its first place, m."""
+    place = trial.object_pose.values[:, :2]
+    return np.asarray(np.hypot(*(place - place[0]).T))
 
 
 def _least_motion(setup: Setup, least: float) -> float:

@@ -273,3 +273,63 @@ def test_one_push_that_seems_deep_is_not_left_out_if_few_others_can_be_judged(tm
     trials += tuple(map(posed(degrees), dataset.trials[1:]))
     read = reread(tmp_path, replace(dataset, trials=trials), same)
     assert len(read.trials) == 6 and not [text for text in read.warnings if "left out" in text]
+
+
+def in_millimetres(trial):
+    scaled = posed(lambda pose: pose * [1e3, 1e3, 1.0])(trial)
+    return tipped(lambda tip: np.multiply(tip, 1e3))(scaled)
+
+
+def aside(trial):
+    return tipped(lambda tip: np.add(tip, [0.3, 0.3]))(trial)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (in_millimetres, ["moves 50 m (are positions in m?), but in the other pushes a median of 50 mm; "]),
+        (aside, ["moves 50 mm, but the finger stays ", " mm or more away from it; "]),
+    ],
+)
+def test_a_single_push_that_cannot_be_one_is_left_out_and_can_be_kept(tmp_path, change, words):
+    dataset = reread(tmp_path, straight_pushes(), change, only=5)
+    (warning,) = dataset.warnings
+    assert warning.startswith("trials/005.json: the object moves ")
+    assert all(word in warning for word in [*words, "left out; to keep it, set `keep: true`"]), warning
+    assert "trials/005.json" not in [trial.name for trial in dataset.trials]
+
+    kept = read_dataset(tmp_path / "pushes", keep_all=True)
+    assert len(kept.trials) == 12 and any("kept as requested" in text for text in kept.warnings)
+    everywhere = reread(tmp_path, straight_pushes(), change)
+    assert len(everywhere.trials) == 12 and not any("left out" in text for text in everywhere.warnings)
+    assert len(reread(tmp_path, straight_pushes(4), change, only=2).trials) == 4
+
+
+def test_none_is_left_out_where_the_others_do_not_touch_either(tmp_path):
+    def behind(trial):
+        """By 12 mm, and in one push by 60 mm."""
+        way = trial.tip_pose.values[60] - trial.tip_pose.values[0]
+        gap = 0.06 if trial.name == "trials/005.json" else 0.012
+        return tipped(lambda tip: tip - gap * way / np.hypot(*way))(trial)
+
+    assert len(reread(tmp_path, straight_pushes(), behind).trials) == 12
+
+
+def ends(channel):
+    return Channel(channel.time[[0, -1]], channel.values[[0, -1]])
+
+
+def returned(trial):
+    """The finger goes back to where it came from, 30 mm away, and is seen at its start and end alone."""
+    inward = trial.tip_pose.values[60] - trial.tip_pose.values[0]
+    start = trial.tip_pose.values[0] - 0.03 * inward / np.hypot(*inward)
+    return replace(trial, tip_pose=Channel(trial.tip_pose.time[[0, -1]], np.array([start, start])))
+
+
+def seen_before_and_after(trial):
+    return replace(trial, object_pose=ends(trial.object_pose), tip_pose=returned(trial).tip_pose)
+
+
+@pytest.mark.parametrize("change", [returned, seen_before_and_after])
+def test_a_finger_that_came_and_went_unseen_may_have_pushed(tmp_path, change):
+    assert len(reread(tmp_path, straight_pushes(), change, only=5).trials) == 12
