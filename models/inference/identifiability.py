@@ -35,6 +35,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits
+from slipmap.models.inference.hypotheses import MODEL_ERRORS
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
@@ -111,7 +112,8 @@ class _Seen:
         """The reason why something is left open, or a large model error as the reason where there is one."""
         if self.missed < 0.04:
             return reason
-        return f"the model error itself is {100 * self.missed:.0f} % of the distance moved"
+        more = " or more" if self.missed == MODEL_ERRORS[-1] else ""
+        return f"the model error itself is {100 * self.missed:.0f} %{more} of the distance moved"
 
 
 def quantities(

@@ -266,6 +266,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         show_friction_laws,
         show_quantities,
     )
+    from slipmap.models.inference.hypotheses import MODEL_ERRORS
     from slipmap.models.inference.identifiability import coarse_cells
 
     belief, fit = result.belief, len(dataset.fit_trials)
@@ -279,11 +280,11 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     )
     show_errors(result.pushes, dataset, where)
     missed = max(belief.settings.get("model_errors", [0.0]))
-    far_off = missed >= _FAR_OFF
+    far_off = missed >= MODEL_ERRORS[-1]  # the largest that is tried, so that it may be larger
     if far_off:
         paragraph(
-            f"THE MODEL DOES NOT EXPLAIN THESE PUSHES: with the best maps, it is off by about"
-            f" {100 * missed:.0f} % of the distance moved. {advice(where or 'DATASET')}"
+            f"THE MODEL DOES NOT EXPLAIN THESE PUSHES: with the best maps, it is off by"
+            f" {100 * missed:.0f} % or more of the distance moved. {advice(where or 'DATASET')}"
         )
     if coarse := coarse_cells(belief):
         paragraph(f"THE CELLS ARE TOO COARSE FOR THIS OBJECT: {coarse}.")
@@ -292,9 +293,6 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)
     show_quantities(result.quantities, doubted=far_off or is_doubted(result.pushes, dataset))
 
-
-_FAR_OFF = 0.1
-"""Model error, as a share of the distance moved, from which a model does not explain the pushes."""
 
 _THEY_FIT = "The pushes agree with the known maps: free maps do not explain them much better."
 _THEY_DO_NOT_FIT = (

@@ -238,7 +238,7 @@ def _fitted(
     return Fitted(effects, likelihood, found.z[0], mean, found.offsets[0], float(found.cost[0]))
 
 
-_MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
+MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
 """Values of α to choose from; no cell grid is better than the first, however good the sensors."""
 
 _FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
@@ -263,7 +263,7 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
 
     motion, force = fitted.likelihood.error.motion, fitted.likelihood.error.force
     for _ in range(2):
-        motion = max(_MOTION_ERRORS, key=lambda value: score(value, force))
+        motion = max(MOTION_ERRORS, key=lambda value: score(value, force))
         if any(o.sliding.any() for o in data.observations):
             force = max(_FORCE_ERRORS, key=lambda value: score(motion, value))
     return ErrorModel(noise, motion, force)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.diagnosis.fitting import MOTION_ERRORS, Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import STAYS_OFF
@@ -62,9 +62,10 @@ def nothing_visible(base: Fitted, pushes: str) -> Outcome:
 
 def scatter(base: Fitted) -> Outcome:
     """The model error is large, and no effect explains it."""
-    share = 100 * base.likelihood.error.motion
+    error = base.likelihood.error.motion
+    share = f"{100 * error:.0f} % or more" if error == MOTION_ERRORS[-1] else f"about {100 * error:.0f} %"
     sentence = (
-        f"The model error is large, about {share:.0f} % of the distance moved, but no effect explains it:"
+        f"The model error is large, {share} of the distance moved, but no effect explains it:"
         " the pushes may not be repeatable, or something unknown disturbs them."
     )
     return Outcome("undecided", sentence, base)

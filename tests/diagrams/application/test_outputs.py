@@ -20,7 +20,7 @@ import pytest
 from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
-from slipmap.diagrams.application.commands.identify import _chosen
+from slipmap.diagrams.application.commands.identify import _chosen, show
 from slipmap.diagrams.application.demonstration import tilted_block
 from slipmap.diagrams.application.reports.comparison_words import surprises
 from slipmap.diagrams.application.reports.tables import (
@@ -233,6 +233,17 @@ def test_errors_beyond_spread_and_noise_are_told(error, noise, said):
     if said:
         assert "slipmap diagnose" in found[0]
     assert doubts(held[:2], recorded_by(noise)) == []
+
+
+@pytest.mark.parametrize(("error", "said"), [(0.04, False), (0.1, True)])
+def test_the_largest_model_error_that_is_tried_may_be_larger(belief, capsys, error, said):
+    far_off = replace(belief, settings={"model_errors": [0.005, error]})
+    result = SimpleNamespace(
+        belief=far_off, pushes=[], seconds=1.0, friction_laws={}, share_of_known=None, quantities=()
+    )
+    dataset = SimpleNamespace(name="block", grid=belief.grid, trials=(), fit_trials=(), heldout_trials=())
+    show(result, dataset, None)
+    assert ("off by 10 % or more of the distance" in " ".join(capsys.readouterr().out.split())) == said
 
 
 def identified_without_noise(dataset):

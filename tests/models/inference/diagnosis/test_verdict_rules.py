@@ -383,3 +383,9 @@ def test_a_pair_has_to_gain_much_together(monkeypatch, together, named):
     inquiry.refits, inquiry.report = SimpleNamespace(gains={"some": 30.0}, fits={"some": first}), print
     inquiry.rules, inquiry._screen = SimpleNamespace(completes=lambda rest, second: True), lambda pair: None
     assert len(inquiry._pairs({"some": None})) == named
+
+
+@pytest.mark.parametrize(("error", "words"), [(0.1, "about 10 % of"), (0.25, "25 % or more of")])
+def test_the_largest_model_error_that_is_tried_may_be_larger(error, words):
+    base = SimpleNamespace(likelihood=SimpleNamespace(error=SimpleNamespace(motion=error)))
+    assert f"large, {words} the distance moved" in outcomes.scatter(base).sentence
