@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from slipmap.models.measurements.importing.clocks import (
 )
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
-from slipmap.models.measurements.trial_checks import impossible, turns_like_degrees
+from slipmap.models.measurements.trial_checks import impossible, seems_degrees, turns_like_degrees
 from slipmap.models.measurements.what_pushes_show import (
     EFFECT_NEEDS,
     Coverage,
@@ -132,17 +132,27 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         (False, 10)
     """
     rows = contact_rows(dataset, dataset.trials)
+    turned = _in_degrees(dataset, rows)
     findings = [
         *_rates(dataset),
         *_rows_left_out(dataset),
-        *_jumps(dataset),
+        *_jumps(dataset, turned),
         *_noises(dataset),
-        *_clock_of_finger(dataset, rows),
     ]
     place = len(findings)
-    findings += [*_impossible(dataset), *_depth(dataset, rows), *_forces(dataset, rows)]
+    findings += _impossible(dataset)
+    # Of pushes in degrees, contact tells nothing but that.
+    if right := tuple(trial for trial in dataset.trials if trial.name not in turned):
+        judged = replace(dataset, trials=right)
+        touching = [one for one in rows if one.trial.name not in turned]
+        findings[place:place] = clock = _clock_of_finger(judged, touching)
+        place += len(clock)
+        findings += [*_depth(judged, touching), *_forces(judged, touching)]
+    else:
+        findings.append(Finding("contact", "not judged, since angles seem to be in degrees", "note"))
     findings += _from_reading(dataset.warnings, findings)
-    findings[place:place] = _clock_of_force(dataset, findings)
+    if right:
+        findings[place:place] = _clock_of_force(judged, findings)
     coverage = coverage_of(dataset, rows)
     effects = tuple(
         Told(name, could := shows(coverage), words if could else f"needs {words}")
@@ -172,8 +182,9 @@ def _from_reading(warnings: Sequence[str], findings: Sequence[Finding]) -> list[
             for one in findings
             if one.advice
         ):
-            fault, _, advice = text.partition("; ")
-            found.append(Finding(_subject(text), fault, "note", advice or "is this right?"))
+            places, colon, rest = text.partition(": ")  # several places are parted by "; " too
+            fault, _, advice = rest.partition("; ")
+            found.append(Finding(_subject(text), places + colon + fault, "note", advice or "is this right?"))
     return found
 
 
@@ -244,24 +255,36 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     return found
 
 
-def _jumps(dataset: PushDataset) -> list[Finding]:
-    """A finding if more than a quarter of the tracks jump to another place, or turn like degrees.
+def _in_degrees(dataset: PushDataset, rows: Sequence[ContactRows]) -> set[str]:
+    """Names of pushes that turn like degrees, or exceed two turns, if contact of these does not fit."""
+    large = {trial.name for trial in dataset.trials if seems_degrees(trial.object_pose.values)}
+    if any(one.depth > one.allowed for one in rows if one.trial.name in large):
+        return large
+    return {trial.name for trial in dataset.trials if turns_like_degrees(trial.object_pose.values)}
+
+
+def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
+    """A finding if more than a quarter of the tracks jump to another place, or are in degrees (`turned`).
 
     An object that was spun and let go may turn like that, so only pushes with a finger are wrong.
     """
     found = []
     for what, told, advice in (
-        ("jumps", lambda pose: sound_rows(pose.time, pose.values)[2], "did the tracker's frame jump?"),
+        (
+            "jumps",
+            lambda trial: sound_rows(trial.object_pose.time, trial.object_pose.values)[2],
+            "did the tracker's frame jump?",
+        ),
         (
             "angles",
-            lambda pose: turns_like_degrees(pose.values),
+            lambda trial: trial.name in turned and seems_degrees(trial.object_pose.values),
             "angles must be in rad; were these degrees?",
         ),
     ):
         pushed = [trial for trial in dataset.trials if what == "jumps" or trial.has_finger]
         verdicts: tuple[tuple[Verdict, Sequence[Trial]], ...] = (("wrong", pushed), ("note", dataset.trials))
         for verdict, trials in verdicts:
-            texts = [text for trial in trials if (text := told(trial.object_pose))]
+            texts = [text for trial in trials if (text := told(trial))]
             if len(texts) > _WRONG_SHARE * len(trials):
                 text = f"{texts[0]}; in {len(texts)} of {len(trials)} pushes"
                 found.append(Finding(what, text, verdict, advice))
@@ -433,7 +456,7 @@ def _impossible(dataset: PushDataset) -> list[Finding]:
 
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     if not rows:
-        return [Finding("contact", "there is no finger", "note")]
+        return [Finding("contact", "no finger comes within 1 m of the object", "note")]
     depth = np.array([one.depth for one in rows])
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
     deep = depth > [one.allowed for one in rows]

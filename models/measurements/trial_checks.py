@@ -424,12 +424,17 @@ def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str
 
 
 def _degrees(pose: Channel, where: str) -> list[str]:
-    """Warning if raw theta exceeds two turns, or changes by more than one while the object hardly moves."""
-    said = turns_like_degrees(pose.values)
-    theta = pose.values[:, 2]
-    if not said and np.max(np.abs(theta)) > 2.0 * _WHOLE_TURN:
-        said = f"theta runs from {theta.min():.3g} to {theta.max():.3g}"
+    """Warning if raw theta seems to be in degrees."""
+    said = seems_degrees(pose.values)
     return [f"{where}, object_pose: {said}. Angles must be in rad; were these degrees?"] if said else []
+
+
+def seems_degrees(values: FloatArray) -> str:
+    """What is odd about poses (T, 3) whose theta exceeds two turns, or turns like degrees; else empty."""
+    theta = values[:, 2]
+    if np.max(np.abs(theta)) <= 2.0 * _WHOLE_TURN:
+        return turns_like_degrees(values)
+    return turns_like_degrees(values) or f"theta runs from {theta.min():.3g} to {theta.max():.3g}"
 
 
 def turns_like_degrees(values: FloatArray) -> str:

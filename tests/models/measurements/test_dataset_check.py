@@ -279,6 +279,26 @@ def test_tracks_that_jump_or_turn_in_degrees_are_wrong():
     assert finding(check_dataset(replace(dataset, trials=tuple(mixed))), "angles").verdict == "note"
 
 
+def test_a_constant_angle_in_degrees_blames_nothing_else():
+    def upright(trial):
+        """As if the bar had lain at 0 rad, and degrees were recorded."""
+        back = -trial.object_pose.values[0, 2]
+        tips = rotated(trial.tip_pose.values, back)
+        poses = np.column_stack([rotated(trial.object_pose.values[:, :2], back), np.full(len(tips), 90.0)])
+        forces = np.column_stack([rotated(trial.ft_wrench.values[:, :2], back), np.zeros(len(tips))])
+        channels = zip(trial.channels.items(), (poses, tips, forces), strict=True)
+        return replace(trial, **{name: Channel(one.time, values) for (name, one), values in channels})
+
+    check = changed(upright)
+    assert [one.what for one in check.findings if one.verdict == "wrong"] == ["angles"]
+    assert "angles seem to be in degrees" in finding(check, "contact").found
+
+
+def test_a_finger_far_away_is_told_as_such():
+    check = changed(tipped(lambda tip: tip + 100.0))
+    assert finding(check, "contact").found == "no finger comes within 1 m of the object"
+
+
 def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong():
     """A finger that never touches by its record is not free of contact all the time."""
 
@@ -461,11 +481,13 @@ def test_one_push_that_is_too_deep_is_a_doubt():
         ("b.json: the tip's rows end while it is still moving; it is held", "reading"),
         ("b.json: the finger goes 12 mm into the object; left out; to keep it, set `keep: true`", None),
         ("b.json: the object moves 0.04 m; the recording was cut there into 2 pushes", None),
+        ("b.json, tip_pose; c.json, tip_pose: goes from here to there; is this right?", "reading"),
     ],
 )
 def test_what_reading_doubts_is_not_sound(warning, subject):
     check = check_dataset(replace(straight_pushes(8), warnings=(warning,)))
     doubt = f"The recording is usable, with a doubt about: {subject}."
     assert check.headline == (doubt if subject else "The recording is sound.")
-    assert [one.verdict for one in check.findings if warning.startswith(one.found)] == ["note"]
+    (told,) = [one for one in check.findings if warning.startswith(one.found)]
+    assert told.verdict == "note" and ": " in told.found
     assert not check.wrong
