@@ -26,6 +26,7 @@ _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz a
 _LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 _DEEPEST_YAML = 50
 _MOST_FAULTS = 40  # in one message
+_NUMBER = r"\d+(\.\d+)?"
 _LONGEST_NAME = 250  # characters up to which a path is given in full
 
 
@@ -134,7 +135,7 @@ class Fingerprint:
 
 def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
     """One error with everything that is wrong with some of `count` files or recordings (`what`)."""
-    unique = grouped(faults)
+    unique = grouped(faults, _NUMBER)
     if len(set(faults)) == 1:
         return DatasetError(faults[0])
     more = f"; and {len(unique) - _MOST_FAULTS} more" if len(unique) > _MOST_FAULTS else ""
@@ -142,20 +143,27 @@ def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
     return DatasetError(f"{len(faults)} of {count} {what} cannot be used: {listed}{more}")
 
 
-def grouped(texts: Iterable[str]) -> list[str]:
-    """Each text once; texts that differ only before the first colon, such as in the file, become one text
-    that names them all."""
-    places: dict[str, list[str]] = {}
+def grouped(texts: Iterable[str], varies: str = "$^") -> list[str]:
+    """Each text once; texts that differ only before the first colon, or after it in the name of their file,
+    become one text that names them all.
+
+    Args:
+        varies: pattern of what may differ too; the words are then those about the first.
+    """
+    alike: dict[str, list[tuple[str, str]]] = {}
     for text in dict.fromkeys(texts):
         place, colon, complaint = text.partition(": ")
-        if colon:
-            places.setdefault(complaint, []).append(place)
-        else:
-            places.setdefault(text, [])
-    return [
-        f"{listed(named, _MOST_FAULTS)}: {complaint}" if named else complaint
-        for complaint, named in places.items()
-    ]
+        file = Path(place.partition(", ")[0])
+        anyones = complaint.replace(file.name, "the file") if file.suffix else complaint
+        alike.setdefault(re.sub(varies, "#", anyones) if colon else text, []).append((text, anyones))
+    return [_together(*zip(*each, strict=True)) for each in alike.values()]
+
+
+def _together(texts: Sequence[str], anyones: Sequence[str]) -> str:
+    if len(texts) == 1:
+        return texts[0]
+    places = listed([text.partition(": ")[0] for text in texts], _MOST_FAULTS)
+    return f"{places}: {'' if len(set(anyones)) == 1 else 'in the first, '}{anyones[0]}"
 
 
 def mapping(value: object, where: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import math
 import pytest
 from spoilt_datasets import record, refused
 
-from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, parsing, read_dataset
 
 
 def spoil(key, row, column, value):
@@ -110,3 +110,20 @@ def test_the_same_push_at_another_time(example):
         for row in rows:
             row[0] += 100.0
     refused(example, "trials/002.json holds the same measurement as trials/000.json")
+
+
+def test_a_fault_that_several_files_share_is_told_once(example):
+    for name in ("trials/000.json", "trials/001.json"):
+        for row in example.records[name]["object_pose"]:
+            row[0] *= 1e4 if name.endswith("0.json") else 2e4
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(example.write())
+    text = str(caught.value)
+    assert text.count("were these milliseconds?") == 1 and "in the first, lasts" in text
+    assert text.index("000.json") < text.index("001.json") < text.index("lasts")
+
+
+def test_texts_that_differ_in_their_own_file_become_one():
+    texts = ["a/1.csv, row 3: 1.csv is empty", "a/2.csv: 2.csv is empty", "a/3.csv: lasts 4 s", "no place"]
+    said = ["a/1.csv, row 3, a/2.csv: the file is empty", "a/3.csv: lasts 4 s", "no place"]
+    assert parsing.grouped(texts) == said
