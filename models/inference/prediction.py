@@ -218,27 +218,27 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
     Outlines may differ by half a millimetre all around, as a camera sees them, but by no less than 2 % of the
     area and no more than 10 %.
     """
+    ours, theirs = belief.grid.polygon, dataset.grid.polygon
+    allowed = np.clip(_CAMERA_ERROR * ours.length, 0.02 * ours.area, 0.1 * ours.area)
+    if ours.symmetric_difference(theirs).area > allowed:  # first, since another object also weighs otherwise
+        raise BeliefError(
+            f"the belief is about a different object, {belief.dataset}, from dataset {dataset.name}: their"
+            " outlines differ; identify this dataset instead"
+        )
     weighed = belief.settings.get("known_mass")
-    for name, unit, ours, theirs, tolerance in (
+    for name, unit, own, stated, tolerance in (
         ("gravity", "m/s²", belief.gravity, dataset.gravity, _GRAVITY_ERROR),
         ("a mass", "kg", weighed, dataset.mass, _MASS_ERROR),
     ):
-        if ours and theirs and abs(np.log(theirs / ours)) > tolerance:
+        if own and stated and abs(np.log(stated / own)) > tolerance:
             raise BeliefError(
-                f"the belief was learned with {name} of {ours:.4g} {unit}, but dataset {dataset.name} states"
-                f" {theirs:.4g} {unit}; correct the dataset, or identify it instead"
+                f"the belief about {belief.dataset} was learned with {name} of {own:.4g} {unit}, but dataset"
+                f" {dataset.name} states {stated:.4g} {unit}; correct the dataset, or identify it instead"
             )
     if abs(dataset.finger_radius - belief.finger_radius) > 1e-6:
         raise BeliefError(
             f"the belief is about a finger of radius {belief.finger_radius} m, but dataset {dataset.name}"
             f" has {dataset.finger_radius} m; identify this dataset instead"
-        )
-    ours, theirs = belief.grid.polygon, dataset.grid.polygon
-    allowed = np.clip(_CAMERA_ERROR * ours.length, 0.02 * ours.area, 0.1 * ours.area)
-    if ours.symmetric_difference(theirs).area > allowed:
-        raise BeliefError(
-            f"the belief is about a different object from dataset {dataset.name}: their outlines differ; "
-            "identify this dataset instead"
         )
 
 

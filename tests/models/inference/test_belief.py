@@ -181,13 +181,14 @@ def test_an_outline_seen_again_is_that_of_the_same_object(wider, same):
     )
     maps = Maps(np.full((1, len(bar)), 0.01), np.full((1, len(bar)), 0.3), np.array([0.2]))
     belief = Belief(
-        bar, dataset.finger_radius, 9.8, maps, np.ones(1), Smoothing(), "bar", "abc", "gauss-newton", 0, {}
-    )
-    again = dataclasses.replace(dataset, grid=seen)
+        bar, dataset.finger_radius, 9.8, maps, np.ones(1), Smoothing(), "bar", "abc", "gauss-newton", 0,
+        {"known_mass": 0.5},
+    )  # fmt: skip
+    again = dataclasses.replace(dataset, grid=seen, mass=0.5 if same else 1.0)
     if same:
         check_same_object(belief, again)
     else:
-        with pytest.raises(BeliefError, match="outlines differ"):
+        with pytest.raises(BeliefError, match=r"a different object, bar, .* outlines differ"):
             check_same_object(belief, again)
 
 
