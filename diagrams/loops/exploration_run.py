@@ -59,7 +59,7 @@ DOING = {
     "pushing": "pushing",
     "recording": "recording",
     "learning": "learning",
-    "diagnosing": "diagnosing the surprising pushes",
+    "diagnosing": "diagnosing the pushes",
 }
 
 
@@ -106,7 +106,7 @@ class ExplorationRun:
         return turn(self.X_SO[2]) @ self.true_object.center_of_mass[:2] + self.X_SO[:2]
 
     def truth(self) -> dict[str, Any] | None:
-        """True values of the learned quantities, and the belief's error; None in a real cell."""
+        """True values of the learned quantities, and the belief's error; None in a real cell and its twin."""
         if self.true_object is None or self.X_SO is None:
             return None
         belief, true = self.identification.belief, self.true_center_of_mass

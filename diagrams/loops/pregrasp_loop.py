@@ -45,7 +45,7 @@ BRINGS = {
     "planning": "planning",
     "pushing": "pushing",
     "recording": "recording",
-    "diagnosing": "diagnosing the surprising pushes",
+    "diagnosing": "diagnosing the pushes",
     "grasping": "grasping at the edge",
     "lifting": "lifting",
     "holding": "holding",

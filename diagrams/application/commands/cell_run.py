@@ -173,8 +173,9 @@ def cell_options(folder: str) -> Option:
 
 adapt_option = click.option(
     "--adapt", is_flag=True,
-    help="Repair the model during the run: when pushes surprise it, diagnose them, push again while the"
-    " answer is open, and add the effect that is named. The model learns from every push.",
+    help="Repair the model during the run: when pushes surprise it, and every few pushes, diagnose them,"
+    " push again while the answer is open, and add the effect that is named. The model learns from every"
+    " push.",
 )  # fmt: skip
 
 
