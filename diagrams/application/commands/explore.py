@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -284,7 +286,9 @@ def _show_exploration(run: ExplorationRun) -> None:
     if truth is None:
         paragraph(f"It took {run.seconds:.0f} s.")
     else:
-        _show_truth(truth)
+        # As in the table of quantities: the medians.
+        named = {quantity.name: quantity.value for quantity in run.identification.quantities}
+        _show_truth([named[f"centre of mass, {axis}"] for axis in "xy"], truth["center_of_mass"])
         paragraph(
             f"{run.simulated:.0f} s of simulated time took {run.seconds - run.thinking:.0f} s; learning and"
             f" choosing pushes took {run.thinking:.0f} s."
@@ -311,8 +315,7 @@ def _show_surprises(run: ExplorationRun, folder: Path, explored: int | None = No
     return beyond_chance
 
 
-def _show_truth(truth: dict[str, Any]) -> None:
-    believed, true = truth["center_of_mass_believed"], truth["center_of_mass"]
+def _show_truth(believed: Sequence[float], true: Sequence[float]) -> None:
     table(
         "Centre of mass, and the truth that only the simulator knows",
         ["", "x, mm", "y, mm"],
@@ -322,7 +325,7 @@ def _show_truth(truth: dict[str, Any]) -> None:
         ],
         numbers=(1, 2),
     )
-    paragraph(f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off.")
+    paragraph(f"The belief's centre of mass is {1e3 * math.dist(believed, true):.1f} mm off.")
 
 
 def _monitor_words(watch: Watch) -> str:
