@@ -203,6 +203,7 @@ class BeliefVisualizer(PythonSystem):
             pushes show.
 
     Raises:
+        TypeError: no Meshcat.
         ValueError: the period is not positive, or there is no such map.
 
     Example:
@@ -226,6 +227,9 @@ class BeliefVisualizer(PythonSystem):
         super().__init__()
         check_positive("BeliefVisualizer: period", period, "s")
         check_choice("BeliefVisualizer: which", which, range(len(MAPS)))
+        if not hasattr(meshcat, "SetObject"):
+            got = "None" if meshcat is None else f"a {type(meshcat).__name__}"
+            raise TypeError(f"BeliefVisualizer: meshcat must be a pydrake.geometry.Meshcat, got {got}")
         self.set_name("belief_visualizer")
         self._meshcat = meshcat
         self._path = path

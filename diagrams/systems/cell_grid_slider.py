@@ -146,8 +146,9 @@ def CellGridSlider_(T: type) -> type:
             table: see `Slider`; cells beyond its rim carry nothing.
 
         Raises:
-            ValueError: maps of another grid, of other effects, or of more than one model; in a simulation, a
-                finger of which only some numbers are finite, or that appears deep inside the object.
+            ValueError: maps of another grid, of other effects, or of more than one model; a finger over half
+                a metre thick, or a step over 0.1 s; in a simulation, a finger of which only some numbers are
+                finite, or that appears deep inside the object.
 
         Example:
             >>> import slipmap

@@ -86,6 +86,11 @@ class Identification(PythonSystem):
         worker: Executor | None = None,
     ) -> None:
         super().__init__()
+        if make_dataset is not None and not callable(make_dataset):
+            raise TypeError(
+                "Identification: make_dataset must be a function of trials and cells that returns a"
+                f" PushDataset, got a {type(make_dataset).__name__}; slipmap.identify learns from a dataset"
+            )
         self._make_dataset = make_dataset or partial(
             dataset_of,
             name="recorded",

@@ -222,7 +222,7 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             if name == "object_pose" and not trial.ends_only and _longest_blind_motion(trial) > _GAP
         ]
         advice = ""
-        if rate < _SLOW_RATE:
+        if round(rate) < _SLOW_RATE:  # as it is told; stamps are rounded
             advice = f"below {_SLOW_RATE:g} Hz, touch and release are hard to see; record at a higher rate"
         elif blind:
             advice = f"no pose for more than {1e3 * _GAP:.0f} ms of motion in {parsing.listed(blind)}"

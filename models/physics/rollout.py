@@ -32,6 +32,8 @@ from slipmap.models.physics.sensors import Sensors, clear_unreached
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM_RESULTS, TIPS
 
+_THICKEST = 0.5  # m, largest finger radius
+
 
 @dataclass(frozen=True)
 class Smoothing:
@@ -127,7 +129,7 @@ class Slider:
 
     Raises:
         EffectError: an unknown effect, one given twice, or a formula that cannot be used.
-        ValueError: a number is not positive.
+        ValueError: a number is not positive, or the finger is over half a metre thick.
 
     Example:
         >>> import numpy as np
@@ -152,6 +154,10 @@ class Slider:
     ) -> None:
         if not (np.isfinite(finger_radius) and finger_radius > 0):
             raise ValueError(f"finger radius must be a positive length in m, got {finger_radius}")
+        if finger_radius > _THICKEST:
+            raise ValueError(
+                f"finger radius is {finger_radius:g} m; no finger is that thick, divide by 1000?"
+            )
         if not (np.isfinite(gravity) and gravity > 0):
             raise ValueError(f"gravity must be positive, got {gravity} m/s²")
         self.grid = grid

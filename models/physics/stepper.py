@@ -26,6 +26,7 @@ from slipmap.models.physics.support import RIM_RESULTS
 NO_FINGER = np.full((2, 2), np.nan)
 NO_WRENCH = np.zeros(5)
 _NO_DELAY = np.zeros(0)
+_LONGEST_STEP = 0.1  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,9 @@ class Stepper(Slider):
         gravity: m/s².
         smoothing: see `Smoothing`.
         table: see `Slider`.
+
+    Raises:
+        ValueError: the step is not positive, or longer than 0.1 s; or as `Slider`.
     """
 
     program: Program
@@ -66,6 +70,8 @@ class Stepper(Slider):
     ) -> None:
         if not (np.isfinite(h) and h > 0):
             raise ValueError(f"the step h must be positive, got {h} s")
+        if h > _LONGEST_STEP:
+            raise ValueError(f"the step h must be at most {_LONGEST_STEP:g} s, got {h:g} s; is it in s?")
         super().__init__(grid, finger_radius, gravity, smoothing, effects, table)
         self.program = program_of(self.effects)
         self.h = float(h)

@@ -10,6 +10,7 @@ import pytest
 from driven_block import DrivenBlock
 from moving_blocks import block, block_belief
 
+from slipmap.diagrams.application.demonstration import tilted_block
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions
 from slipmap.diagrams.perception.cell_perception import CellPerception
@@ -141,3 +142,16 @@ def test_a_finger_that_appears_inside_the_object_is_refused() -> None:
 
 def test_numbers_of_numpy_are_numbers() -> None:
     assert LoopOptions(pushes=np.int64(3)).pushes == 3  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: Identification(3), r"make_dataset must be a function .* got a int"),  # type: ignore[arg-type]
+        (lambda: Identification(tilted_block()), r"got a PushDataset; slipmap\.identify"),  # type: ignore
+        (lambda: BeliefVisualizer(None), "meshcat must be a .*Meshcat, got None"),  # type: ignore
+    ],
+)
+def test_a_thing_of_another_kind_is_refused_with_what_is_wanted(make: Callable[[], Any], told: str) -> None:
+    with pytest.raises(TypeError, match=told):
+        make()

@@ -118,5 +118,9 @@ def test_impossible_numbers_are_told() -> None:
         stepper.step(models, state, wrench=np.array([np.nan, 0, 0, 0, 0]), time=0.3)
     with pytest.raises(ValueError, match="step h must be positive"):
         Stepper(BLOCK, RADIUS, 0.0)
+    with pytest.raises(ValueError, match=r"step h must be at most 0\.1 s, got 0\.5 s"):
+        Stepper(BLOCK, RADIUS, 0.5)
+    with pytest.raises(ValueError, match="finger radius is 8 m; no finger is that thick"):
+        Stepper(BLOCK, 8.0, 0.005)
     with pytest.raises(ValueError, match="maps have 3 effect parameters, the model has 0"):
         stepper.models(with_values(maps, [1.0, 2.0, 3.0]))

@@ -324,6 +324,15 @@ def test_unseen_motion_is_told():
     assert finding(changed(gap), "rate of poses").verdict == "note"
 
 
+def test_twenty_hertz_with_rounded_stamps_are_enough():
+    time = 0.05 * (1.0 + 1e-15) * np.arange(24)
+
+    def sampled(trial):
+        return replace(trial, **{name: Channel(time, one.at(time)) for name, one in trial.channels.items()})
+
+    assert finding(changed(sampled), "rate of finger").verdict == "good"
+
+
 def test_coverage_and_what_is_missing():
     check = check_dataset(straight_pushes(8))
     assert check.coverage.pushes == 8 and check.coverage.forces
