@@ -22,11 +22,11 @@ from slipmap.models.measurements.parsing import Number
 from slipmap.models.measurements.push_dataset import LEAST_SPREAD, DatasetError, KnownMaps, PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-_NUMBERS = {"mass": Number("kg", 1e-9, 1e6), "friction": Number("1", 1e-4, 10.0)}
+_NUMBERS = {"mass": Number("kg", 1e-9, 1e6), "friction": Number("", 1e-4, 10.0)}
 _LENGTH = Number("m")
 _USUAL_SPREAD = 0.05
 _SPREAD = Number(
-    "1",
+    "",
     LEAST_SPREAD,
     1.0,
     "{where}: a relative standard deviation must lie between {low:g} and {high:g}, got {value:g}",
@@ -79,10 +79,10 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     finger = _Map.parsed("friction", rubbing, 1, usual, f"{where}: finger_friction", warnings)
     named = {name: one for name, one in maps.items() if not np.isnan(one.values).all()}
     if not named and np.isnan(finger.values[0]):
+        place = "under `known`" if where.endswith(": known") else "at the top level"
         unknown = f" ({'; '.join(warnings)})" if warnings else ""
         raise DatasetError(
-            f"{where}: states nothing known; give mass, friction, finger_friction or regions as top-level"
-            f" keys{unknown}"
+            f"{where}: states nothing known; give mass, friction, finger_friction or regions {place}{unknown}"
         )
     arguments: dict[str, Any] = {}
     for name, one in named.items():

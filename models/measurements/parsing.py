@@ -11,6 +11,7 @@ import re
 import reprlib
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
+from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,7 +69,10 @@ def read_yaml(path: Path, where: str) -> tuple[bytes, dict[str, Any]]:
             raise DatasetError(f"{where}: nested too deeply for a description of a dataset")
         document = yaml.load(content, Loader=_PlainLoader)
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
-        raise DatasetError(f"{where}: not valid YAML ({shown_error(error)})") from None
+        mark = getattr(error, "problem_mark", None)
+        tab = mark is not None and b"\t" in b"".join(content.splitlines()[mark.line : mark.line + 1])
+        hint = "; indent with spaces, not with a tab" if tab else ""
+        raise DatasetError(f"{where}: not valid YAML ({shown_error(error)}){hint}") from None
     return content, mapping(document, where)
 
 
@@ -194,9 +198,14 @@ def unknown_keys(fields: Iterable[str], known: Iterable[str], where: str) -> lis
     """One warning for each unknown key, most likely a typing error."""
     known = sorted(known)
     return [
-        f"{where}: the key {shown(key)} is unknown and ignored (known: {', '.join(known)})"
+        f"{where}: the key {shown(key)} is unknown and ignored{_near(key, known)} (known: {', '.join(known)})"
         for key in sorted(set(fields) - set(known))
     ]
+
+
+def _near(key: str, known: Sequence[str]) -> str:
+    near = get_close_matches(key, [name for name in known if name[0] == key[:1]], n=1)  # no weight for height
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def text(value: object, where: str) -> str:
@@ -218,10 +227,17 @@ def read_as_text(value: object) -> str:
     return f", which is read as text; write {yaml.safe_dump(int(result) if whole else result).split()[0]}"
 
 
+def _other(value: object, where: str, wanted: str) -> DatasetError:
+    """An error that says what a value must be; a key without a value is missing."""
+    if value is None:
+        return DatasetError(f"{where} is missing; it must be {wanted}")
+    return DatasetError(f"{where}: must be {wanted}, got {shown(value)}{read_as_text(value)}")
+
+
 def number(value: object, where: str) -> float:
     """A finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise DatasetError(f"{where}: must be a number, got {shown(value)}{read_as_text(value)}")
+        raise _other(value, where, "a number")
     result = _as_float(value, where)
     if not math.isfinite(result):
         raise DatasetError(f"{where}: must be a finite number, got {result}")
@@ -231,28 +247,30 @@ def number(value: object, where: str) -> float:
 class Number(NamedTuple):
     """Unit and limits of a number in a description."""
 
-    unit: str  # for error messages
+    unit: str  # for error messages; empty for a ratio
     # low, high: the limits
     low: float = 0.0
     high: float = math.inf
     # message for a number beyond them; a format string over the attributes, `where` and `value`
-    beyond: str = "{where}: must lie between {low:g} and {high:g} {unit}, got {value:g}"
+    beyond: str = "{where}: must lie between {low:g} and {high:g}{unit}, got {value:g}"
     or_zero: bool = False  # whether 0 is allowed; otherwise only positive numbers are
 
     def read(self, value: object, where: str) -> float:
         """Check a parsed value and return it as a number."""
         result = number(value, where)
         if result <= 0 and not self.or_zero:
-            raise DatasetError(f"{where}: must be positive ({self.unit}), got {result}")
+            unit = f" ({self.unit})" if self.unit else ""
+            raise DatasetError(f"{where}: must be positive{unit}, got {result}")
         if not self.low <= result <= self.high:
-            raise DatasetError(self.beyond.format(where=where, value=result, **self._asdict()))
+            attributes = {**self._asdict(), "unit": f" {self.unit}" if self.unit else ""}
+            raise DatasetError(self.beyond.format(where=where, value=result, **attributes))
         return result
 
 
 def pair(value: object, where: str) -> tuple[float, float]:
     """Two finite numbers."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise DatasetError(f"{where}: must be two numbers [a, b], got {shown(value)}")
+    if not isinstance(value, list) or len(value) != 2 or None in value:
+        raise _other(value, where, "two numbers [a, b]")
     return number(value[0], where), number(value[1], where)
 
 
@@ -262,7 +280,7 @@ _CELLS = {int, float, type(None)}
 def table(value: object, columns: int, where: str) -> FloatArray:
     """(n, columns) numbers from a list of rows; None becomes NaN, which JSON cannot express."""
     if not isinstance(value, list):
-        raise DatasetError(f"{where}: must be a list of rows, got {shown(value)}")
+        raise _other(value, where, "a list of rows")
     if set(map(type, value)) - {list}:
         row = next(row for row, cells in enumerate(value) if not isinstance(cells, list))
         raise DatasetError(

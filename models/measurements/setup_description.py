@@ -169,7 +169,8 @@ def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
     except DatasetError:
         raise
     except ValueError as error:
-        raise DatasetError(f"{where}: {error}; correct the outline or the cells") from None
+        other = "hole" if str(error).startswith("holes") else "cells"
+        raise DatasetError(f"{where}: {error}; correct the outline or the {other}") from None
     warnings += _doubtful_cells(grid, f"{where}.cells")
     return grid
 

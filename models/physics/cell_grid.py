@@ -82,7 +82,8 @@ def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> 
     """Polygon of an outline with holes.
 
     Raises:
-        ValueError: fewer than three corners, no area, or edges that cross; the message says where.
+        ValueError: fewer than three corners, no area, edges that cross, or a hole outside; the message says
+            where.
     """
     from shapely.validation import explain_validity
 
@@ -90,6 +91,10 @@ def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> 
     if len(ring) < 3:
         raise ValueError(f"outline: needs at least three corners, has {len(ring)}")
     polygon = Polygon(ring, [np.asarray(hole, dtype=float) for hole in holes])
+    shell = Polygon(ring)
+    for k, hole in enumerate(holes if shell.is_valid else ()):
+        if not shell.covers(Polygon(np.asarray(hole, dtype=float))):
+            raise ValueError(f"holes[{k}] does not lie inside the outline")
     if not polygon.is_valid:
         raise ValueError(f"outline: not a simple polygon ({explain_validity(polygon)})")
     if polygon.area <= 0:

@@ -45,7 +45,7 @@ def test_area_of_the_polygon_leaves_out_holes():
         (([[0, 0]], np.inf, SQUARE), "width must be a positive length"),
         (([[0, 0]], 0.01, SQUARE[:2]), "at least three corners, has 2"),
         (([[0, 0]], 0.01, SQUARE[[0, 2, 1, 3]]), "not a simple polygon"),
-        (([[0, 0]], 0.01, SQUARE, (HOLE + 1,)), "not a simple polygon"),
+        (([[0, 0]], 0.01, SQUARE, (HOLE + 1,)), r"holes\[0\] does not lie inside the outline"),
         (([[0, 0]], 0.01, SQUARE, (HOLE[:, :1],)), "hole: expected an"),
     ],
 )
