@@ -134,13 +134,19 @@ def explore(
     """Explore the object of a scenario.
 
     Args:
+        scenario: the cell: object, table, arm, camera and simulation; lengths in m, times in s.
+        options: numbers of pushes, cells and hypotheses, effects, and the seed of every draw.
         hardware: LCM address of a real cell that contains the object, or see `control.real_cell`; simulated
             if None.
         meshcat: where to show it, if anywhere.
+        progress: called with (stage, done, total).
         record: where pushes go as soon as they are recorded; an error that it raises ends the run.
         before: recording of an earlier process to continue.
         learn_when_stopped: whether Ctrl-C still learns from the pushes made so far, which takes time, or ends
             the run at once.
+
+    Returns:
+        The pushes, what was learned from them, and the monitor's judgement.
 
     Raises:
         ExplorationFailed: the object was lost, or the arm cannot make any push.

@@ -84,6 +84,11 @@ def identify(
         friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
             (see `friction_laws`); takes longer. The method `paper` has only the plain one.
 
+    Returns:
+        The result: `belief` with the masses (K, n), kg, and frictions (K, n) of the n cells in `belief.maps`,
+        and the probabilities (K,); the predictions of all pushes, whose distances from the measured ends
+        `errors(role)` returns, (B,) m; and `quantities` with their units and 90 % intervals.
+
     Raises:
         DatasetError: there is no push to fit, or the model with the effects cannot be fitted.
         ValueError: an unknown method, effects with `paper`, too few hypotheses, or a seed that is not a whole
