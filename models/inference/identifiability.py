@@ -54,6 +54,8 @@ _SMALL_BASE = 0.5
 """Share of the whole footprint's arm below which an object rests on a part of it."""
 
 
+_CENTRE = ("centre of friction, x", "centre of friction, y")
+_ARM = "friction arm (mean distance from its centre)"
 _TOO_ALIKE = "so few pushes with such errors do not show how strongly the maps vary"
 
 
@@ -139,7 +141,7 @@ def quantities(
     if prior.known is not None:
         free = MapPrior(prior.slider, prior.settings, prior.mass)
         open_widths = [g @ g for g in _gradients(measures, free, np.zeros(free.size))]
-    results = []
+    results: list[Quantity] = []
     for place, measure in enumerate(measures):
         if prior.known is not None and variances[0][0][place] < SHOWN_SHARE * open_widths[place]:
             measure = replace(
@@ -164,8 +166,16 @@ def quantities(
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
         reason = measure.shown if shown else _TOO_ALIKE if narrowed and alike else measure.open
+        if shown and measure.share and not measure.given:
+            reason = _basis_of_shares({one.name for one in results if one.shown}) or reason
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
     return tuple(results)
+
+
+def _basis_of_shares(shown: set[str]) -> str:
+    """Of the quantities from which shares follow, those that are shown; empty if none is."""
+    parts = [part for part, names in (("centre", set(_CENTRE)), ("arm", {_ARM})) if names <= shown]
+    return f"{' and '.join(parts)} of friction" if parts else ""
 
 
 def _variances(measures: Sequence[_Measure], one: Informed) -> tuple[list[float], list[float]]:
@@ -313,11 +323,11 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                  "force in steady sliding" if seen.forces else scale,
                  weak_force if seen.forces else no_force),
         *(
-            _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
+            _Measure(name, "m", _column(middle, i), False,
                      "how the object turns when pushed", seen.unless_missed(no_axis))
-            for i, axis in enumerate("xy")
+            for i, name in enumerate(_CENTRE)
         ),
-        _Measure("friction arm (mean distance from its centre)", "m", partial(friction_arms, slider.grid),
+        _Measure(_ARM, "m", partial(friction_arms, slider.grid),
                  True, "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
                  "weighed beforehand" if weighed else "acceleration under a measured force", slow,
@@ -335,7 +345,8 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     for name, parts in thirds_of(slider.grid):
         measures.append(
             _Measure(f"share of mass × friction, {name}", "-", _sum(share, parts), False,
-                     "centre and arm of friction", "other distributions turn the object the same way", True)
+                     "how the object turns when pushed",
+                     "other distributions turn the object the same way", True)
         )  # fmt: skip
     return measures
 

@@ -81,7 +81,7 @@ def _show(found: DatasetCheck, folder: Path, where: str) -> None:
         other = [f"{told.name} ({told.reason})" for told in group if not told.could]
         paragraph(f"These pushes could reveal the following {words}: {', '.join(could) or 'none'}.")
         if other:
-            paragraph(f"They could not reveal (why in brackets): {', '.join(other)}.")
+            paragraph(f"They may not suffice for (why in brackets): {', '.join(other)}.")
     _show_advice(found, folder, where)
 
 
