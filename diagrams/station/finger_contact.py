@@ -28,13 +28,17 @@ _THICKNESS = 1e-5
 """m. At a corner sharper than a right angle, the end of a wall sticks out by less than this. A ball may sink
 in much deeper, since its centre stays outside."""
 
-_YIELD = 2e-4
-"""Depth to which a wall would yield under the weight of the object, m.
+YIELD_AT_ARM = 2e-4
+"""Depth to which a wall would yield under the weight of the object, m, for the finger of an arm.
 
 `lagged` contact computes friction from the load of the step before. On harder walls, or with more
 dissipation, loads change from step to step: the finger of the arm, which gives way a little upwards, then
 lifts the side of the object by more than friction allows, and light or low objects rock for whole pushes.
 """
+
+YIELD_AT_RIGID_FINGER = 2e-5
+"""The same for a finger that cannot give way, m: nothing rocks, and the walls may be hard. Soft ones still push
+while the finger brakes, so that a tapped light object slides 1 % too far."""
 
 _DISSIPATION = 2.0  # of the walls, s/m
 _USUAL = 0.75  # force of a push, as a share of what makes the object slide without turning
@@ -49,6 +53,7 @@ def push_with_balls(
     radius: float,
     contact: geometry.ProximityProperties,
     *,
+    wall_yield: float = YIELD_AT_ARM,
     instead_of: Sequence[geometry.GeometryId] = (),
 ) -> None:
     """Let the object be pushed by balls at its walls; the last step before the plant is finalized.
@@ -59,6 +64,7 @@ def push_with_balls(
         balls: bodies of the finger, and the centres (3,) of their balls in these bodies' frames, m.
         radius: of the finger, m; the balls are larger by `skin_of` the object.
         contact: stiffness of the balls if any, and a friction coefficient of `FINGER_FRICTION`.
+        wall_yield: depth to which a wall would yield under the object's weight, m.
         instead_of: the finger's shapes that no longer touch the object's blocks.
 
     Raises:
@@ -73,12 +79,12 @@ def push_with_balls(
     declaration = geometry.CollisionFilterDeclaration()
     declaration.ExcludeBetween(geometry.GeometrySet(list(instead_of)), blocks)
     gravity = -float(plant.gravity_field().gravity_vector()[2])
-    own = side_contact(true_object, gravity, _YIELD, _DISSIPATION)
+    own = side_contact(true_object, gravity, wall_yield, _DISSIPATION)
     walls = [
         plant.RegisterCollisionGeometry(body, X_OG, wall, f"wall_{index}", own)
         for index, (X_OG, wall) in enumerate(walls_of(true_object))
     ]
-    ball = geometry.Sphere(radius + skin_of(true_object))
+    ball = geometry.Sphere(radius + skin_of(true_object, wall_yield))
     tips = [
         plant.RegisterCollisionGeometry(finger, RigidTransform(center), ball, f"ball_{index}", contact)
         for index, (finger, center) in enumerate(balls)
@@ -89,11 +95,11 @@ def push_with_balls(
     Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
 
 
-def skin_of(true_object: TrueObject) -> float:
+def skin_of(true_object: TrueObject, wall_yield: float = YIELD_AT_ARM) -> float:
     """Depth to which a usual push sinks in, m: with a skin of that on the finger, the object is then pushed
     as by a rigid finger without it."""
     friction = float(true_object.mass @ true_object.mu) / true_object.total_mass
-    return _USUAL * friction * _YIELD
+    return _USUAL * friction * wall_yield
 
 
 def push_with_gripper(plant: MultibodyPlant, true_object: TrueObject, arm: Arm) -> None:

@@ -19,7 +19,7 @@ from slipmap.diagrams.application.campaigns.worlds import (
     flat_pose,
 )
 from slipmap.diagrams.station import sliding_object
-from slipmap.diagrams.station.finger_contact import push_with_balls
+from slipmap.diagrams.station.finger_contact import YIELD_AT_RIGID_FINGER, push_with_balls
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.measurements.push_dataset import Table
@@ -172,7 +172,9 @@ def _add_finger(plant: MultibodyPlant, true_object: TrueObject) -> tree.ModelIns
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
     balls = [(finger, np.array([0.0, 0.0, _TOUCHED_AT]))]
-    push_with_balls(plant, true_object, balls, FINGER_RADIUS, contact)
+    push_with_balls(
+        plant, true_object, balls, FINGER_RADIUS, contact, wall_yield=YIELD_AT_RIGID_FINGER
+    )
     return instance
 
 
