@@ -37,8 +37,8 @@ lifts the side of the object by more than friction allows, and light or low obje
 """
 
 YIELD_AT_RIGID_FINGER = 2e-5
-"""The same for a finger that cannot give way, m: nothing rocks, and the walls may be hard. Soft ones still push
-while the finger brakes, so that a tapped light object slides 1 % too far."""
+"""The same for a finger that cannot give way, m: nothing rocks, and the walls may be hard. Soft ones push on
+while the finger brakes, so that a light object that is tapped slides 1 % too far."""
 
 _DISSIPATION = 2.0  # of the walls, s/m
 _USUAL = 0.75  # force of a push, as a share of what makes the object slide without turning

@@ -172,9 +172,7 @@ def _add_finger(plant: MultibodyPlant, true_object: TrueObject) -> tree.ModelIns
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
     balls = [(finger, np.array([0.0, 0.0, _TOUCHED_AT]))]
-    push_with_balls(
-        plant, true_object, balls, FINGER_RADIUS, contact, wall_yield=YIELD_AT_RIGID_FINGER
-    )
+    push_with_balls(plant, true_object, balls, FINGER_RADIUS, contact, wall_yield=YIELD_AT_RIGID_FINGER)
     return instance
 
 
