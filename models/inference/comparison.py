@@ -7,7 +7,7 @@ pushes (before and after an effect was added) side by side.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from slipmap.models.inference.residuals import Residuals, force_residuals, motio
 from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
-from slipmap.models.measurements.push_dataset import check_dataset_given
+from slipmap.models.measurements.push_dataset import Setup, check_dataset_given
 from slipmap.models.progress import Progress, about, silent
 from slipmap.models.settings import check_whole
 
@@ -136,8 +136,8 @@ def compare(
 
     Args:
         dataset: pushes of the object that the belief is about.
-        belief: what was learned, from this or another dataset; predictions that came with it, where they are
-            of this dataset, are not made again; if None, `identify` learns it first.
+        belief: what was learned, from this or another dataset; predictions that came with it, where nothing
+            in the dataset has changed since, are not made again; if None, `identify` learns it first.
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
@@ -162,11 +162,9 @@ def compare(
     if belief is None:
         belief = identify(dataset, seed=seed, progress=progress)
     learned, belief = belief, belief_of(belief)
-    if isinstance(learned, Identification):
-        own = [(push.trial, push.role) for push in learned.pushes]
-        same = belief.fingerprint == dataset.fingerprint
-        if same and own == [(trial.name, trial.role) for trial in dataset.trials]:
-            pushes = learned.pushes
+    if isinstance(learned, Identification) and learned.dataset is not None:
+        # A fingerprint does not tell: it is of the files, and stays when something is replaced in a dataset.
+        pushes = learned.pushes if _measured(learned.dataset) == _measured(dataset) else None
     if pushes is None:
         check_same_object(belief, dataset)
         belief = belief.on(dataset.table)
@@ -321,6 +319,12 @@ def compare_together(
             )
         )
     return JointComparison(tuple(found), fitted)
+
+
+def _measured(dataset: PushDataset) -> list[object]:
+    """All that predictions depend on; arrays are equal only if they are the very same."""
+    setup = [getattr(dataset, field.name) for field in fields(Setup)]
+    return [*setup, *((trial.name, trial.role, trial.channels) for trial in dataset.trials)]
 
 
 def totals(pushes: Sequence[Prediction]) -> Totals:

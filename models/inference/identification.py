@@ -180,7 +180,7 @@ def learn(
     facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(
-        belief, predictions, facts, time.perf_counter() - started, shares, share_of_known
+        belief, predictions, facts, time.perf_counter() - started, shares, share_of_known, dataset=dataset
     )  # fmt: skip
 
 
@@ -201,7 +201,7 @@ def _by_algorithm_1(
     predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
     found = fit_maps(likelihood, np.array([prior.start(0.35)]))
     facts = quantities(belief, [Informed(likelihood, found, 1.0)])
-    return Identification(belief, predictions, facts, time.perf_counter() - started)
+    return Identification(belief, predictions, facts, time.perf_counter() - started, dataset=dataset)
 
 
 def fit(

@@ -11,6 +11,7 @@ import numpy as np
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Paired
+from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_kind
 
@@ -47,6 +48,7 @@ class Identification:
         share_of_known: where maps were known beforehand, the weight of the model with these maps against one
             with free maps; 0 where the pushes contradict them.
         without_effects: for `fit`, what the model without the effects learned from the same pushes.
+        dataset: the pushes as they were measured, fitted and held out.
     """
 
     belief: Belief
@@ -56,6 +58,7 @@ class Identification:
     friction_laws: Mapping[str, float] = field(default_factory=dict)
     share_of_known: float | None = None
     without_effects: Identification | None = None
+    dataset: PushDataset | None = None
 
     def __repr__(self) -> str:
         errors = ", ".join(

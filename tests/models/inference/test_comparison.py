@@ -12,7 +12,7 @@ from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import MEASURED_CONTACT
-from slipmap.models.measurements import Channel, read_dataset
+from slipmap.models.measurements import Channel, Table, read_dataset
 from slipmap.models.physics.rollout import Maps
 
 
@@ -145,6 +145,26 @@ def test_predictions_that_come_with_a_belief_are_used_for_their_own_pushes_alone
     assert [push.trial for push in again.pushes] == [trial.name for trial in others.trials]
     one, other = (json.dumps(plain(found.to_json())) for found in (again, compare(others, learned.belief)))
     assert one == other
+
+
+@pytest.mark.parametrize("changed", ["poses", "forces", "noise", "table"])
+def test_predictions_that_come_with_a_belief_are_not_used_for_changed_pushes(recorded, changed):
+    dataset = recorded.dataset
+    learned = identify(dataset, hypotheses=2, friction_laws=False)
+    same = replace(dataset, trials=tuple(map(replace, dataset.trials)))
+    assert compare(same, learned).pushes is learned.pushes
+    if changed in ("poses", "forces"):
+        name = {"poses": "object_pose", "forces": "ft_wrench"}[changed]
+        seen = getattr(dataset.trials[0], name)
+        moved = Channel(seen.time, seen.values + np.linspace(0.0, 0.02, len(seen.time))[:, None])
+        other = replace(dataset, trials=(replace(dataset.trials[0], **{name: moved}), *dataset.trials[1:]))
+    elif changed == "noise":
+        other = replace(dataset, noise=replace(dataset.noise, position=2e-3))
+    else:
+        other = replace(dataset, table=Table("round", (0.0, 0.0), radius=5.0))
+    one, two = (json.dumps(plain(compare(other, what).to_json())) for what in (learned, learned.belief))
+    assert one == two
+    assert compare(other, learned).pushes is not learned.pushes
 
 
 def test_another_object_is_refused(recorded, truth):
