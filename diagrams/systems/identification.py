@@ -14,7 +14,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import check_draws, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Noise, Table
+from slipmap.models.measurements.push_dataset import Noise, Table, in_order
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
 from slipmap.models.settings import check_kind, check_positive
@@ -129,7 +129,7 @@ class Identification(PythonSystem):
     def _learn(self, context: Context, state: State) -> EventStatus:
         job, count, effects = read(context, self._job) or (None, 0, ())
         if job is None:
-            trials = [trial for trial in self.input(context, "trials") if trial.role == "fit"]
+            trials = [trial for trial in in_order(self.input(context, "trials")) if trial.role == "fit"]
             if len(trials) <= self._count(context) or not trials:
                 return EventStatus.DidNothing()
             grid = self.optional_input(context, "cell_grid") or self._grid

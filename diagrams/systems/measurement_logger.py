@@ -63,7 +63,7 @@ class _Recording:
 
         name = f"trials/{len(self.trials):03d}.json"
         forces = channel(self.forces) if self.forces else None
-        trial = Trial(name, role, channel(poses), channel(self.tips), forces)
+        trial = Trial(name, role, channel(poses), channel(self.tips), forces, order=len(self.trials))
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
     def touched(self, rest: Row, share: float = 1.0) -> bool:

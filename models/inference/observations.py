@@ -118,7 +118,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
 
     Args:
         trial: as recorded.
-        order: its place in the experiment, from 0.
+        order: its place in the experiment as recorded, from 0.
         coarseness: factor by which steps may be longer than usual.
     """
     trial = _without_long_rest(trial)
@@ -173,12 +173,11 @@ def observe_all(
     Raises:
         DatasetError: no table carries the object in one of them.
     """
-    order = {trial.name: place for place, trial in enumerate(dataset.trials)}
     chosen = dataset.trials if trials is None else list(trials)
     for trial in chosen:
         if (off := beside_table(dataset, trial)) is not None:
             raise DatasetError(f"dataset {dataset.name}: {trial.name}: {off}")
-    return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
+    return [observe(trial, trial.order or 0, coarseness) for trial in chosen]
 
 
 def to_learn_from(pushes: Sequence[T]) -> list[T]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -113,9 +113,12 @@ class Trial:
         ft_wrench: (T, 3) force of the finger on the object in the world frame, N, and torque about the
             finger's axis, N·m, 0 if not measured; None if force was not measured.
         kept: whether it stays in its dataset whatever the checks on reading find.
+        order: its place in the experiment as recorded, from 0, which it keeps when other trials are left out;
+            if None, a dataset gives it that in its `trials`.
 
     Raises:
-        DatasetError: an unknown role, a wrong number of columns, or fewer than two object poses.
+        DatasetError: an unknown role, a wrong number of columns, fewer than two object poses, or an order
+            that is not a whole number from 0.
 
     Example:
         >>> import slipmap
@@ -130,6 +133,7 @@ class Trial:
     tip_pose: Channel
     ft_wrench: Channel | None = None
     kept: bool = False
+    order: int | None = None
 
     def __repr__(self) -> str:
         rows = [f"{len(channel.time)} rows of {name}" for name, channel in self.channels.items()]
@@ -138,6 +142,8 @@ class Trial:
     def __post_init__(self) -> None:
         if self.role not in ("fit", "heldout"):
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
+        if self.order is not None and (not isinstance(self.order, int) or self.order < 0):
+            raise DatasetError(f"{self.name}: order must be a whole number from 0, got {self.order!r}")
         if len(self.object_pose.time) < 2:
             raise DatasetError(f"{self.name}: object_pose needs at least two rows, a first and a last pose")
         for what, channel in self.channels.items():
@@ -212,6 +218,15 @@ class Noise:
             if value is not None:
                 check_not_negative(f"Noise: {name}", value, unit)
                 object.__setattr__(self, name, max(value, least))
+
+
+def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
+    """The trials, each with its place among them as its order, unless each has an order of its own."""
+    trials = tuple(trials)
+    given = {trial.order for trial in trials}
+    if None not in given and len(given) == len(trials):
+        return trials
+    return tuple(replace(trial, order=place) for place, trial in enumerate(trials))
 
 
 def _finite(values: object, count: int) -> bool:
@@ -417,7 +432,8 @@ class PushDataset(Setup):
     """Trials of one object with one finger.
 
     Attributes:
-        trials: in the order of the experiment.
+        trials: in the order of the experiment. Unless each has an `order` of its own, as after reading and
+            selecting, they are numbered by their places.
         fingerprint: sha256 of the files that were read, wherever they are. A selection of trials keeps it.
         warnings: what looks wrong without making the data useless.
         provenance: where the pushes came from and what was done to them, in sentences.
@@ -462,6 +478,7 @@ class PushDataset(Setup):
         name, uses = Counter(trial.name for trial in self.trials).most_common(1)[0]
         if uses > 1:
             raise DatasetError(f"dataset {self.name}: {uses} trials are called {name}; names must differ")
+        object.__setattr__(self, "trials", in_order(self.trials))
 
     @property
     def fit_trials(self) -> tuple[Trial, ...]:

@@ -19,6 +19,7 @@ from slipmap.models.measurements.push_dataset import (
     Role,
     Setup,
     Trial,
+    in_order,
 )
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
@@ -167,6 +168,7 @@ def _assembled(
         raise parsing.all_faults(faults, len(entries), "files")
     if assign is not None:
         trials = assign(trials)
+    trials = list(in_order(trials))  # before the checks leave some out
     trials, doubts = check_trials(setup, trials, str(source), keep)
     trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
     warnings += _gathered(found) + doubts
@@ -205,10 +207,11 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
     warnings += parsing.unknown_keys(document, ("format", "trials", "provenance", *SETUP_KEYS), where)
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
-    entries, forced = _entries(document, description.parent, where, warnings)
+    entries, forced, orders = _entries(document, description.parent, where, warnings)
     folder = description.parent
     dataset = _assembled(
-        setup, fingerprint, warnings, description, folder, entries, _one(_read_record), progress,
+        setup, fingerprint, warnings, description, folder, entries,
+        _one(partial(_read_record, orders)), progress,
         keep=lambda trial: forced.get(trial.name, True if keep_all else None),
     )  # fmt: skip
     told = document.get("provenance") or []
@@ -219,8 +222,8 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
 
 def _entries(
     document: dict[str, Any], folder: Path, where: str, warnings: list[str]
-) -> tuple[list[Entry], dict[str, bool]]:
-    """The trials listed in a description, and which of them it says to keep or drop."""
+) -> tuple[list[Entry], dict[str, bool], dict[str, int]]:
+    """The trials listed in a description, which of them it says to keep or drop, and the order of each."""
     listed = parsing.required(
         document, "trials", where, "list the trials, [{file: trials/000.json, role: fit}]"
     )
@@ -230,10 +233,11 @@ def _entries(
         )
     entries: list[Entry] = []
     forced: dict[str, bool] = {}
+    orders: dict[str, int] = {}
     files: dict[Path, int] = {}
     for row, value in enumerate(listed):
         place = f"{where}: trials, row {row}"
-        entry = parsing.section(value, ("file", "role", "keep"), place, warnings)
+        entry = parsing.section(value, ("file", "role", "keep", "order"), place, warnings)
         name = parsing.text(parsing.required(entry, "file", place, "name the trial's file"), f"{place}: file")
         role = entry.get("role", "fit")
         if role not in get_args(Role):
@@ -249,8 +253,16 @@ def _entries(
                     " to have the push judged"
                 )
             forced[name] = entry["keep"]
+        order = entry.get("order", row)
+        if isinstance(order, bool) or not isinstance(order, int) or order < 0:
+            raise DatasetError(f"{place}: order must be a whole number from 0, got {parsing.shown(order)}")
+        if order in orders.values():
+            raise DatasetError(
+                f"{place}: order {order} is also that of another trial; a trial without `order` has its row's"
+            )
+        orders[name] = order
         entries.append((name, role))
-    return entries, forced
+    return entries, forced, orders
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:
@@ -267,10 +279,12 @@ def _inside(folder: Path, name: str, where: str) -> Path:
     return path
 
 
-def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Trial, list[str]]:
+def _read_record(
+    orders: dict[str, int], name: str, role: Role, content: bytes, where: str
+) -> tuple[Trial, list[str]]:
     arrays = parsing.mapping(parsing.parse_json(content, where), where)
     trial, doubts = trial_from_tables(name, role, json_tables(arrays, where), where)
-    return trial, parsing.unknown_keys(arrays, CHANNELS, where) + doubts
+    return replace(trial, order=orders[name]), parsing.unknown_keys(arrays, CHANNELS, where) + doubts
 
 
 # Files of pushes whose object is named or described elsewhere.

@@ -110,8 +110,10 @@ def _rows(channel: Channel) -> list[list[float]]:
 def _description_text(dataset: PushDataset, names: list[str]) -> str:
     """The dataset.yaml of a dataset whose trials have these names."""
     trials = [
-        {"file": name, "role": trial.role, **({"keep": True} if trial.kept else {})}
-        for name, trial in zip(names, dataset.trials, strict=True)
+        {"file": name, "role": trial.role}
+        | ({"keep": True} if trial.kept else {})
+        | ({} if trial.order == place else {"order": trial.order})
+        for place, (name, trial) in enumerate(zip(names, dataset.trials, strict=True))
     ]
     told = {"provenance": list(dataset.provenance)} if dataset.provenance else {}
     return yaml.dump(

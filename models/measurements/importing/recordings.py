@@ -34,7 +34,14 @@ from slipmap.models.measurements.importing.import_setup import (
 from slipmap.models.measurements.importing.mapping import is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
-from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
+from slipmap.models.measurements.push_dataset import (
+    CHANNELS,
+    Channel,
+    DatasetError,
+    PushDataset,
+    Trial,
+    in_order,
+)
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial_checks import check_trials, refuse_long, trial_from_tables
@@ -129,7 +136,7 @@ def import_dataset(
     parts = len({label for one in read.values() for label in one.labels})
     warnings = parsing.grouped(warnings)
     trials = _with_roles([trial for one in read.values() for trial in one.trials], said.heldout, where)
-    kept, doubts = check_trials(said.setup, trials, where)
+    kept, doubts = check_trials(said.setup, in_order(trials), where)
     provenance = (
         f"imported from {parsing.listed(list(files))}",
         *(

@@ -22,6 +22,7 @@ class Learner(DrivenBlock):
     def __init__(self) -> None:
         self.asked: list[tuple[list[str], object]] = []
         self.told: list[tuple[object, int]] = []
+        self.orders: list[int | None] = []
         block = Identification(
             self._dataset,
             hypotheses=K,
@@ -33,6 +34,7 @@ class Learner(DrivenBlock):
 
     def _dataset(self, trials, grid):
         self.asked.append(([trial.name for trial in trials], grid))
+        self.orders = [trial.order for trial in trials]
         return replace(tilted_pushes(), trials=tuple(trials))
 
     def step(self, **inputs) -> tuple[object, int]:
@@ -75,6 +77,13 @@ def test_pushes_that_judge_do_not_teach():
     learner = Learner()
     assert learner.step(cell_grid=tilted_pushes().grid, trials=heldout()) == (None, 0)
     assert learner.asked == []
+
+
+def test_pushes_that_judge_count_as_places_in_the_experiment():
+    learner = Learner()
+    made = [replace(trial, order=None) for trial in (*heldout(), *fit())]
+    learner.step(cell_grid=tilted_pushes().grid, trials=tuple(made))
+    assert learner.orders == [1, 2]
 
 
 def test_its_belief_is_that_of_the_command(history):

@@ -1,5 +1,6 @@
 """Trials prepared for comparison, and the smoothing of finger tracks."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -196,6 +197,22 @@ def test_rows_in_bursts_are_averaged_all_the_same():
     pose = np.column_stack([0.02 * np.maximum(t - 0.5, 0.0), 0 * t, 0 * t])
     observation = observe(Trial("t", "fit", Channel(t, pose), Channel(t, pose[:, :2] - [0.04, 0.0])))
     assert (observation.pose_rows == 5).sum() > 20
+
+
+def test_a_push_keeps_its_place_in_the_experiment_whatever_is_left_out(shared_data):
+    whole = read_dataset(shared_data / "real" / "mit_abs_rect1")
+    places = {push.trial: push.push.order for push in observe_all(whole)}
+    assert list(places.values()) == list(range(len(whole.trials)))
+    for some in (
+        whole.with_fit_pushes(1),
+        replace(whole, trials=whole.trials[3:]),
+        replace(whole, trials=tuple(replace(trial, role="fit") for trial in whole.heldout_trials)),
+        pickle.loads(pickle.dumps(whole.with_fit_pushes(1))),
+    ):
+        assert [push.push.order for push in observe_all(some)] == [places[one.name] for one in some.trials]
+    again = tuple(replace(trial, name=f"{trial.name} again") for trial in whole.trials)
+    twice = observe_all(replace(whole, trials=whole.trials + again))  # one experiment after the other
+    assert [push.push.order for push in twice] == list(range(len(twice)))
 
 
 def test_two_row_trials_compare_at_the_end_alone(shared_data):

@@ -107,6 +107,7 @@ def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
     )
     assert "left out; to keep it, set `keep: true` beside its file" in warning
     assert len(dataset.trials) == 11 and "trials/005.json" not in [trial.name for trial in dataset.trials]
+    assert [trial.order for trial in dataset.trials] == [*range(5), *range(6, 12)]
 
     path = tmp_path / "pushes" / "dataset.yaml"
     document = yaml.safe_load(path.read_text())
@@ -117,7 +118,7 @@ def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
     assert "trials/005.json" in names and "trials/007.json" not in names
     assert "kept as requested" in forced_.warnings[0]
     again = read_dataset(write_dataset(forced_, tmp_path / "again"))
-    assert [trial.name for trial in again.trials] == names
+    assert [(t.name, t.order) for t in again.trials] == [(t.name, int(t.name[7:10])) for t in forced_.trials]
     assert len(read_dataset(write_dataset(forced_, tmp_path / "third"), keep_all=True).trials) == 11
     document["trials"][5]["keep"] = "yes please"
     path.write_text(yaml.safe_dump(document))

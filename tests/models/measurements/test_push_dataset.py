@@ -44,6 +44,12 @@ def test_trial_refuses_wrong_columns_roles_and_single_poses():
         Trial("a.json", "fit", channel(1, 3), channel(5, 2))
 
 
+def test_an_order_is_a_place():
+    for order in (-1, 1.5):
+        with pytest.raises(DatasetError, match=rf"a\.json: order must be a whole number from 0, got {order}"):
+            Trial("a.json", "fit", channel(5, 3), channel(5, 2), order=order)
+
+
 def test_two_poses_are_ends_only_and_rest():
     ends = Trial("a.json", "fit", channel(2, 3, first=7.0), channel(9, 2))
     assert ends.ends_only and ends.start == 7.0

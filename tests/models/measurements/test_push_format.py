@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from spoilt_datasets import record
 
-from slipmap.models.measurements import DatasetError, Noise, Table, read_dataset
+from slipmap.models.measurements import DatasetError, Noise, Table, read_dataset, write_dataset
 
 
 def test_everything_arrives(example):
@@ -46,6 +46,25 @@ def test_defaults(example):
     assert (dataset.gravity, dataset.noise, dataset.table) == (9.81, Noise(), None)
     assert (dataset.height, dataset.mass, dataset.description) == (None, None, "")
     assert (dataset.name, dataset.trials[0].role) == ("example", "fit")
+
+
+def test_places_in_the_experiment_are_those_of_the_rows_or_as_said(example, tmp_path):
+    rows = example.document["trials"]
+    rows[0]["keep"] = False
+    dataset = read_dataset(example.write())
+    assert [trial.order for trial in dataset.trials] == [1, 2]
+    written = write_dataset(dataset, tmp_path / "again")
+    assert [trial.order for trial in read_dataset(written).trials] == [1, 2]
+    for row, order, said in (
+        (1, 2, "trials, row 2: order 2 is also that of another trial"),
+        (1, -1, "row 1: order must be a whole number from 0, got -1"),
+        (1, True, "row 1: order must be a whole number from 0, got True"),
+    ):
+        rows[row]["order"] = order
+        with pytest.raises(DatasetError, match=said):
+            read_dataset(example.write())
+    rows[1]["order"], rows[2]["order"] = 7, 5
+    assert [trial.order for trial in read_dataset(example.write()).trials] == [7, 5]
 
 
 def test_cells_are_cut_from_the_outline_where_none_are_given(example):
