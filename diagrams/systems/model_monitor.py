@@ -215,7 +215,7 @@ class ModelMonitor(PythonSystem):
         start, end = trial.object_pose.values[[0, -1]]
         held = angle_held(trial)
         error = self._error_held if held else self._error
-        observation = observe(trial, number)
+        observation = observe(trial, number, reach=belief.grid.reach)
         force = push_misfit.steady_force(observation)
         misfit, p = push_misfit.resting_misfit(
             start, end, universes.poses, belief.probability, error, belief.grid,

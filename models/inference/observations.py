@@ -112,7 +112,7 @@ class Observation:
         return float(np.median(np.hypot(*self.forces[self.sliding].T)))
 
 
-def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observation:
+def observe(trial: Trial, order: int = 0, coarseness: float = 1.0, *, reach: float = 0.0) -> Observation:
     """Prepare one trial: cut off long rests, smooth the finger's track, choose the step, average rows, mask
     forces.
 
@@ -120,14 +120,16 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
         trial: as recorded.
         order: its place in the experiment as recorded, from 0.
         coarseness: factor by which steps may be longer than usual.
+        reach: of the object's outline from its frame's origin, m, see `Trial.finger_near`.
     """
     trial = _without_long_rest(trial)
+    pushed = trial.finger_near(reach)
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
     path = finger_path(trial)
     track_time, track, likeliest = smooth_track(*path)
-    speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
+    speed = _fast_speed(track_time, track) if pushed else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
         step = min(step, _SLIDING_STEP)
@@ -136,11 +138,11 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     step = duration / steps
     ends = step * np.arange(steps + 1)
     tip, scatters = np.full((steps + 1, 2), np.nan), False
-    if len(track_time) >= _FEW_ROWS and trial.has_finger:
+    if len(track_time) >= _FEW_ROWS and pushed:
         # Straight lines between rows would change the speed at each row at once, and the force would ring.
         tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
         scatters = bool(np.abs(likeliest - track).max() > _LEAST_SCATTER)
-    elif trial.has_finger:
+    elif pushed:
         tip = interpolated(ends, track_time, track)
 
     start, start_rows = trial.object_pose.values[0].copy(), 1
@@ -177,7 +179,7 @@ def observe_all(
     for trial in chosen:
         if (off := beside_table(dataset, trial)) is not None:
             raise DatasetError(f"dataset {dataset.name}: {trial.name}: {off}")
-    return [observe(trial, trial.order or 0, coarseness) for trial in chosen]
+    return [observe(trial, trial.order or 0, coarseness, reach=dataset.reach) for trial in chosen]
 
 
 def to_learn_from(pushes: Sequence[T]) -> list[T]:

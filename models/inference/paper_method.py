@@ -90,13 +90,16 @@ class EqualSteps:
         ]
 
 
-def observe_steps(trial: Trial) -> EqualSteps:
-    """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
+def observe_steps(trial: Trial, reach: float = 0.0) -> EqualSteps:
+    """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed.
+
+    `reach` is that of the object's outline from its frame's origin, m, see `Trial.finger_near`.
+    """
     times = pose_times(trial)
     steps = min(_STEPS, len(times) - 1)
     ends = np.linspace(0.0, times[-1], steps + 1)
     tip = np.full((steps + 1, 2), np.nan)
-    if trial.has_finger:
+    if trial.finger_near(reach):
         tip = interpolated(ends, *smooth_track(*finger_path(trial))[:2])
     return EqualSteps(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
 
@@ -261,7 +264,7 @@ def identify_by_algorithm_1(
             "poses or more; use the method gauss-newton for pushes of which only the ends are known"
         )
     slider = slider_for(dataset)
-    pushes = [observe_steps(trial) for trial in trials]
+    pushes = [observe_steps(trial, dataset.reach) for trial in trials]
     total = dataset.mass if dataset.mass is not None else _NOMINAL_MASS
     parameters = {"mass_max": 2.0 * total / len(dataset.grid), "mu_max": 1.0, "mu_finger": 0.35}
     still = _loss_of_rest(pushes, dataset.grid.centers)

@@ -99,7 +99,7 @@ def contact_rows(setup: Setup, trials: Sequence[Trial]) -> list[ContactRows]:
     Where only the ends are known, these two rows.
     """
     usual = noise_of_poses(setup, trials)
-    return [_contact_rows(setup, trial, usual) for trial in trials if trial.has_finger]
+    return [_contact_rows(setup, trial, usual) for trial in trials if trial.finger_near(setup.reach)]
 
 
 def _contact_rows(setup: Setup, trial: Trial, usual: PoseNoise) -> ContactRows:

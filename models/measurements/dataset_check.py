@@ -281,7 +281,7 @@ def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
             "angles must be in rad; were these degrees?",
         ),
     ):
-        pushed = [trial for trial in dataset.trials if what == "jumps" or trial.has_finger]
+        pushed = [trial for trial in dataset.trials if what == "jumps" or trial.finger_near(dataset.reach)]
         verdicts: tuple[tuple[Verdict, Sequence[Trial]], ...] = (("wrong", pushed), ("note", dataset.trials))
         for verdict, trials in verdicts:
             texts = [text for trial in trials if (text := told(trial))]
@@ -305,7 +305,7 @@ def _noises(dataset: PushDataset) -> list[Finding]:
     free = [
         float(np.max(found[1])) * np.sqrt(max(found[2] / 10.0, 1.0))
         for one in dataset.trials
-        if one.ft_wrench is not None and one.has_finger and not one.ends_only
+        if one.ft_wrench is not None and one.finger_near(dataset.reach) and not one.ends_only
         and (found := free_force(dataset, one.object_pose, one.tip_pose, one.ft_wrench)) is not None
     ]  # fmt: skip
     # Contact chatters; and with wrong frames, contact may seem free.
@@ -346,7 +346,7 @@ def _clock_of_finger(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[
     speed = []
     pushes = 0
     for trial in dataset.trials:
-        if trial.ends_only or not trial.has_finger:
+        if trial.ends_only or not trial.finger_near(dataset.reach):
             continue
         pushes += 1
         lag = lag_left(dataset, trial.object_pose, trial.tip_pose)
@@ -364,7 +364,7 @@ def _clock_of_force(dataset: PushDataset, findings: Sequence[Finding]) -> list[F
     """
     rises: list[Rise] = []
     for trial in dataset.trials:
-        if trial.ft_wrench is not None and trial.has_finger and not trial.ends_only:
+        if trial.ft_wrench is not None and trial.finger_near(dataset.reach) and not trial.ends_only:
             rises += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
     if not rises:
         return []
@@ -480,7 +480,8 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
 
 
 def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
-    forced = [trial for trial in dataset.trials if trial.ft_wrench is not None and trial.has_finger]
+    reach = dataset.reach
+    forced = [one for one in dataset.trials if one.ft_wrench is not None and one.finger_near(reach)]
     if not forced:
         return []
     findings = []

@@ -149,7 +149,7 @@ def rests_of(setup: Setup, trial: Trial) -> list[FloatArray]:
 
     Of the second only the later half counts: an object that was struck slides on for a while.
     """
-    if trial.ends_only or not trial.has_finger or trial.initial_velocity().any():
+    if trial.ends_only or not trial.finger_near(setup.reach) or trial.initial_velocity().any():
         return []
     poses = trial.object_pose.values
     times = pose_times(trial)

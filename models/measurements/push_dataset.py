@@ -37,7 +37,7 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
 LEAST_SPREAD = 1e-3
 """Smallest relative standard deviation with which anything is known."""
 
-_FAR_AWAY = 1.0  # m
+_FAR_AWAY = 1.0  # m beyond the outline
 _LEAST_NOISE = {
     "position": (1e-6, "m"),
     "angle": (1e-5, "rad"),
@@ -170,11 +170,14 @@ class Trial:
         poses = self.object_pose.values
         return bool((poses[:-1] == poses[0]).all())
 
-    @property
-    def has_finger(self) -> bool:
-        """Whether the finger ever comes within 1 m of the object frame; farther away it counts as absent."""
+    def finger_near(self, reach: float = 0.0) -> bool:
+        """Whether the finger ever comes within 1 m of the object; farther away it counts as absent.
+
+        Args:
+            reach: largest distance of the outline from the object frame's origin, m; the 1 m count from it.
+        """
         distance = self.tip_pose.values - self.object_pose.at(self.tip_pose.time)[:, :2]
-        return bool(np.min(np.hypot(*distance.T)) < _FAR_AWAY)
+        return bool(np.min(np.hypot(*distance.T)) < reach + _FAR_AWAY)
 
     def initial_velocity(self) -> FloatArray:
         """(3,) world velocity (v_x, v_y, omega) at the first pose, m/s and rad/s.
@@ -419,7 +422,7 @@ class Setup:
     @property
     def reach(self) -> float:
         """Largest distance of the outline from the object frame's origin, m."""
-        return float(np.max(np.hypot(*self.grid.exterior.T)))
+        return self.grid.reach
 
     @property
     def noise_of_motion(self) -> float:

@@ -35,7 +35,7 @@ class Carry(NamedTuple):
 
 def carries(setup: Setup, trial: Trial) -> list[Carry]:
     """Motions that begin at rest with the finger over 20 mm away, if others begin at the finger."""
-    if not trial.has_finger:
+    if not trial.finger_near(setup.reach):
         return []
     runs = _motions(setup, trial)
     if not runs:
@@ -119,7 +119,7 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
     Each push begins half a second before the object moves, ends half a second after, and is named name#1 and
     so on. A recording of one push is returned unchanged.
     """
-    runs = _motions(setup, trial, *_SLOW) if trial.has_finger else []
+    runs = _motions(setup, trial, *_SLOW) if trial.finger_near(setup.reach) else []
     pose, reach = trial.object_pose, setup.reach
     gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values) if len(runs) > 1 else np.zeros(0)
     pushes: list[tuple[int, int]] = []

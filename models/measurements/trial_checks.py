@@ -456,7 +456,7 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
         yield f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?"
     if _begins_at_rest(setup, trial) and (untouched := _untouched(setup, trial)) is not None:
         yield untouched
-    if trial.has_finger:
+    if trial.finger_near(setup.reach):
         if _fastest(trial.tip_pose) > _LARGEST_SPEED:
             yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
         if _stands_still(setup, trial):
@@ -480,8 +480,11 @@ def _untouched(setup: Setup, trial: Trial) -> str | None:
     """What is odd about an object that moves without a touch and does not slide already; None if nothing."""
     if not _moved(setup, trial) or trial.initial_velocity().any():
         return None
-    if not trial.has_finger:
-        return "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
+    if not trial.finger_near(setup.reach):
+        return (
+            "a resting object begins to move, but no finger comes within 1 m of its outline; is the tip given"
+            " in m?"
+        )
     if len(trial.tip_pose.time) == 1:
         return (
             "a resting object begins to move, but tip_pose has only one row, and a finger that does not move"
@@ -504,7 +507,7 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     # Of two poses alone, which do not tell whether the object was already sliding, this is a doubt.
     if trial.ends_only and (untouched := _untouched(setup, trial)) is not None:
         yield untouched
-    if not trial.has_finger:
+    if not trial.finger_near(setup.reach):
         return
     if _moved(setup, trial) and _pulls(setup, trial):
         yield _PULLS

@@ -70,6 +70,11 @@ class CellGrid:
         return self.__dict__["_polygon"]
 
     @cached_property
+    def reach(self) -> float:
+        """Largest distance of the outline from the frame's origin, m."""
+        return float(np.max(np.hypot(*self.exterior.T)))
+
+    @cached_property
     def edges(self) -> FloatArray:
         """(E, 4) outline edges (x0, y0, x1, y1); the object lies to the left of each edge."""
         rings = (self.exterior, *self.holes)

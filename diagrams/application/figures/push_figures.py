@@ -104,7 +104,7 @@ def _scene(push: Prediction, trial: Trial, dataset: PushDataset) -> _Scene:
     points = placed(dataset.grid.exterior, np.array(drawn)[:, None]).reshape(-1, 2)
     low, high = points.min(axis=0), points.max(axis=0)
     finger = np.zeros((0, 2))
-    if trial.has_finger:
+    if trial.finger_near(dataset.reach):
         reach = _NEAR * float(np.ptp(dataset.grid.exterior, axis=0).max())
         _, path = finger_path(trial)
         finger = path[((path > low - reach) & (path < high + reach)).all(axis=1)]
@@ -298,7 +298,7 @@ def measured_figure(dataset: PushDataset) -> Figure:
         style.draw_outline(table, dataset.grid, first, color=FAINT, width=0.7)
         style.draw_outline(table, dataset.grid, last, width=0.9, alpha=0.8)
         begin, end = trial.object_pose.time[[0, -1]]
-        if trial.has_finger:
+        if trial.finger_near(dataset.reach):
             time = np.linspace(begin, end, _ROWS)
             near = (time >= trial.tip_pose.time[0]) & (time <= trial.tip_pose.time[-1])
             tips, poses = trial.tip_pose.at(time[near]), trial.object_pose.at(time[near])

@@ -425,7 +425,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
                     f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
                     " picture, or give ft_wrench.clock, the seconds to add to its stamps"
                 )
-    if trial.ft_wrench is not None and trial.has_finger:
+    if trial.ft_wrench is not None and trial.finger_near(said.setup.reach):
         trial, more = _force_at_rest(trial, said)
         steps += more
         if said.channels["ft_wrench"].turned_by_contact:

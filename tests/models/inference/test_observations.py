@@ -8,10 +8,12 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from slipmap.models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
+from slipmap.models.inference.paper_method import observe_steps
 from slipmap.models.measurements import Channel, Noise, Trial, read_dataset
 from slipmap.models.measurements.motion import smooth_track
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.planners.exploration import candidate_pushes
 from slipmap.planners.table_push import TablePush
@@ -213,6 +215,24 @@ def test_a_push_keeps_its_place_in_the_experiment_whatever_is_left_out(shared_da
     again = tuple(replace(trial, name=f"{trial.name} again") for trial in whole.trials)
     twice = observe_all(replace(whole, trials=whole.trials + again))  # one experiment after the other
     assert [push.push.order for push in twice] == list(range(len(twice)))
+
+
+@pytest.mark.parametrize("method", ["gauss-newton", "paper"])
+def test_a_finger_far_from_the_frame_of_its_object_pushes_it(recorded, method):
+    dataset, off = recorded.dataset, np.array([1.5, 0.0])
+    grid = CellGrid(dataset.grid.centers + off, dataset.grid.width, dataset.grid.exterior + off)
+
+    def from_there(trial):
+        x, y, theta = trial.object_pose.values.T
+        poses = np.column_stack([x - 1.5 * np.cos(theta), y - 1.5 * np.sin(theta), theta])
+        return replace(trial, object_pose=Channel(trial.object_pose.time, poses))
+
+    far = replace(dataset, grid=grid, trials=tuple(map(from_there, dataset.trials)))
+    if method == "paper":
+        assert np.isfinite(observe_steps(far.trials[0], far.reach).tip).all()
+        return
+    for one, other in zip(observe_all(dataset), observe_all(far), strict=True):
+        assert np.array_equal(one.push.tip, other.push.tip) and one.push.h == other.push.h
 
 
 def test_two_row_trials_compare_at_the_end_alone(shared_data):

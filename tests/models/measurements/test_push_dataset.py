@@ -60,9 +60,10 @@ def test_two_poses_are_ends_only_and_rest():
 def test_a_finger_far_from_the_moving_object_is_none():
     time = np.arange(5.0)
     pose = Channel(time, np.column_stack([time, 0 * time, 0 * time]))  # moves from x = 0 to 4
-    assert not Trial("a", "fit", pose, Channel(time, np.tile([0.0, 1.1], (5, 1)))).has_finger
-    assert Trial("a", "fit", pose, Channel(time, np.tile([4.0, 0.9], (5, 1)))).has_finger
-    assert not Trial("a", "fit", pose, Channel(time[:3], np.tile([4.0, 0.9], (3, 1)))).has_finger
+    beside = Trial("a", "fit", pose, Channel(time, np.tile([0.0, 1.1], (5, 1))))
+    assert not beside.finger_near() and not beside.finger_near(0.09) and beside.finger_near(0.11)
+    assert Trial("a", "fit", pose, Channel(time, np.tile([4.0, 0.9], (5, 1)))).finger_near()
+    assert not Trial("a", "fit", pose, Channel(time[:3], np.tile([4.0, 0.9], (3, 1)))).finger_near()
 
 
 def test_names_of_trials_differ(example):

@@ -150,5 +150,5 @@ def test_no_finger_no_questions_about_it(example):
     for row in rows["object_pose"]:
         row[1] = 0.5 * (row[0] - 1000.0) - 0.25 * (row[0] - 1000.0) ** 2
     dataset = read_dataset(example.write())
-    assert [trial.has_finger for trial in dataset.trials] == [True, False, True]
+    assert [trial.finger_near() for trial in dataset.trials] == [True, False, True]
     assert dataset.warnings == ()

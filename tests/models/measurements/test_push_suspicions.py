@@ -98,7 +98,7 @@ def test_lengths_in_millimetres_are_noticed(example):
 def test_a_tip_in_millimetres_is_not_taken_for_no_finger(example):
     for row in record(example)["tip_pose"]:
         row[1] = 1000.0 * row[1] + 2000.0
-    warned(example, "trials/001.json", "begins to move, but no finger is within 1 m")
+    warned(example, "trials/001.json", "begins to move, but no finger comes within 1 m of its outline")
 
 
 def test_jitter_of_the_stamps_is_not_speed(example):

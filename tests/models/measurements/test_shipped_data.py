@@ -30,8 +30,8 @@ def test_every_shipped_dataset_is_read_without_complaint(shared_data, name):
 
 
 def test_slides_have_no_finger_and_pushes_have_one(shared_data):
-    assert not any(trial.has_finger for trial in read_dataset(shared_data / "real/cube_slides").trials)
-    assert all(trial.has_finger for trial in read_dataset(shared_data / "real/mcube_steel").trials)
+    assert not any(trial.finger_near() for trial in read_dataset(shared_data / "real/cube_slides").trials)
+    assert all(trial.finger_near() for trial in read_dataset(shared_data / "real/mcube_steel").trials)
     ends = read_dataset(shared_data / "real/mit_abs_rect1").trials
     assert all(trial.ends_only and trial.ft_wrench is None for trial in ends)
 

@@ -73,7 +73,7 @@ def test_a_frame_as_a_matrix_or_a_quaternion(tmp_path):
             f"object_pose: {{position: [a, b], angle: c, frame: {frame}}}\ntip_pose: null\n",
         )  # fmt: skip
         assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-6)
-        assert not trial.has_finger
+        assert not trial.finger_near()
 
 
 def test_offsets_and_signs(tmp_path):
