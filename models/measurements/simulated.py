@@ -39,10 +39,14 @@ def record_pushes(
 
     A row of force is the mean over 1 / rate, stamped at its midpoint, as from a sensor with a filter.
 
+    A push in which the object tips over the table's rim is refused: a record would end in poses of a fall,
+    which no model of sliding explains.
+
     Args:
-        slider: the object's model.
+        slider: the object's model; its table becomes that of the dataset.
         maps: the true maps, one model.
-        pushes: B pushes by a finger, each from its own start pose.
+        pushes: B pushes by a finger, each from its own start pose. They are made one after another; if their
+            orders are different whole numbers, in these.
         rng: source of the noise.
         noise: standard deviations; None is no noise. The torque has that of the force times the radius. Each
             push touches the object elsewhere by the error of the outline.
@@ -53,8 +57,9 @@ def record_pushes(
 
     Raises:
         TypeError: something other than pushes and a generator.
-        ValueError: several models, a push without a finger or with one that begins inside the object, a
-            number of held-out pushes that does not fit, or a rate that is not positive.
+        ValueError: several models, a push without a finger or with one that begins inside the object, one in
+            which the object tips, a number of held-out pushes that does not fit, or a rate that is not
+            positive.
 
     Example:
         >>> import numpy as np
@@ -80,8 +85,20 @@ def record_pushes(
         check_kind(f"recording: push {index}", push, Push, "such as a Candidate's push(pose)")
     for index, push in enumerate(pushes):
         check_begins_clear(f"recording: push {index}", slider, push.start_pose, push.tip[0])
-    timed = [_sampled(push, rate, index) for index, push in enumerate(pushes)]
+    orders = [push.order for push in pushes]
+    if len(set(orders)) < len(orders) or any(order < 0 or order % 1 for order in orders):
+        orders = [float(index) for index in range(len(pushes))]
+    timed = [
+        _sampled(replace(push, order=order), rate, index)
+        for index, (push, order) in enumerate(zip(pushes, orders, strict=True))
+    ]
     rollouts = slider.rollout(maps, [_touching_elsewhere(push, noise.outline, rng) for push in timed])
+    if rollouts.tipped.any():
+        index = int(np.argmax(rollouts.tipped[0]))
+        raise ValueError(
+            f"recording: in push {index} the object tips over the table's rim {rollouts.tips[0, index]:.2f} s"
+            " after its start; leave this push out or make it shorter"
+        )
     trials = []
     for index, push in enumerate(timed):
         assert push.pose_times is not None
@@ -97,6 +114,7 @@ def record_pushes(
                 _measured(rng, poses, [noise.position, noise.position, noise.angle]),
                 _measured(rng, Channel(push.pose_times, tip), [noise.tip, noise.tip]),
                 _measured(rng, wrench, [force, force, force * slider.finger_radius]),
+                order=int(push.order),
             )
         )
     digest = hashlib.sha256()
@@ -109,7 +127,7 @@ def record_pushes(
         height=height,
         mass=mass,
         finger_radius=slider.finger_radius,
-        table=None,
+        table=slider.table,
         gravity=slider.gravity,
         noise=noise,
         trials=tuple(trials),

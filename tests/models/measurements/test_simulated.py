@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.measurements import Noise, read_dataset, write_dataset
+from slipmap.models.measurements import Noise, Table, read_dataset, write_dataset
 from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -134,6 +134,31 @@ def test_wrong_arguments_are_named(change, complaint):
     }
     with pytest.raises(ValueError, match=complaint):
         record_pushes(**arguments | change)
+
+
+def test_the_table_is_recorded_and_a_fall_refused():
+    table = Table("rectangle", (0.0, 0.0), size=(0.12, 0.4))
+    slider = Slider(square().grid, RADIUS, table=table)
+    rng = np.random.default_rng(0)
+    assert record_pushes(slider, maps(slider), [push_along_x()], rng).table == table
+    push, way = push_along_x(), np.array([0.02, 0.0, 0.0])
+    beyond = replace(push, tip=push.tip + way[:2], start_pose=way)
+    with pytest.raises(ValueError, match=r"in push 1 the object tips over the table's rim 1\.\d\d s after"):
+        record_pushes(slider, maps(slider), [push, beyond], rng)
+
+
+@pytest.mark.parametrize(
+    ("orders", "expected"),
+    [((0, 0, 0), (0, 1, 2)), ((2, 2, 0), (0, 1, 2)), ((0, 0.5, 1), (0, 1, 2)), ((5, 2, 9), (5, 2, 9))],
+)
+def test_pushes_are_simulated_in_the_order_that_is_recorded(orders, expected):
+    slider = Slider(square().grid, RADIUS, effects=["friction_drift"])
+    truth = replace(maps(slider), effects=np.array([[0.2]]))
+    pushes = [replace(push_along_x(), order=order) for order in orders]
+    trials = record_pushes(slider, truth, pushes, np.random.default_rng(0), noise=SILENT).trials
+    assert tuple(trial.order for trial in trials) == expected
+    forces = [np.hypot(*trial.ft_wrench.values[-60:-30, :2].T).mean() for trial in trials]
+    np.testing.assert_allclose(forces, [MASS * 9.81 * MU * np.exp(0.2 * k) for k in expected], rtol=0.02)
 
 
 def test_a_push_that_begins_inside_the_object_is_refused():
