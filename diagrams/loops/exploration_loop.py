@@ -319,6 +319,7 @@ def add_exploration(
             "identification",
             Identification(
                 make_dataset, hypotheses=options.hypotheses, seed=options.seed, effects=options.effects,
+                friction_laws=False,  # a robot that waits for each belief has no time for more
                 learned=learned, worker=worker,
             ),
         ),

@@ -43,14 +43,18 @@ class Identification(PythonSystem):
 
     Args:
         make_dataset: combines trials and grid into a dataset with everything known about the setup. If None,
-            the next five arguments describe the setup.
+            the next six arguments describe the setup.
         grid: the object, if `cell_grid` is not connected.
         finger_radius: m; by default that of the robot's own finger.
+        mass: of the object, kg, if it was weighed.
         table: the table top; unknown if None.
         gravity: m/s².
         noise: of the sensors; estimated from the rows if not given.
         method: of `identify`.
         effects: of the library, given to the model; they require the default `method`.
+        friction_laws: as for `identify`, whether to weigh other laws of friction too, so that a belief may
+            have their effects beside those given. Without them learning takes less time, which the robot's
+            own loops need: they learn after each push.
         hypotheses: K.
         seed: of every draw.
         learned: called with each new belief and its number of pushes, for progress.
@@ -75,11 +79,13 @@ class Identification(PythonSystem):
         *,
         grid: CellGrid | None = None,
         finger_radius: float = FINGER_RADIUS,
+        mass: float | None = None,
         table: Table | None = None,
         gravity: float = 9.81,
         noise: Noise = _NO_NOISE,
         method: str = "gauss-newton",
         effects: Sequence[str] = (),
+        friction_laws: bool = True,
         hypotheses: int = 20,
         seed: int = 0,
         learned: Callable[[Belief, int], None] | None = None,
@@ -95,6 +101,7 @@ class Identification(PythonSystem):
             dataset_of,
             name="recorded",
             finger_radius=finger_radius,
+            mass=mass,
             table=table,
             gravity=gravity,
             noise=noise,
@@ -104,10 +111,12 @@ class Identification(PythonSystem):
             check_kind("Identification: grid", grid, CellGrid, "such as slipmap.cells_from_polygon makes")
         check_positive("Identification: finger_radius", finger_radius, "m")
         check_positive("Identification: gravity", gravity, "m/s²")
+        if mass is not None:
+            check_positive("Identification: mass", mass, "kg")
         learning(effects, method)
         check_draws(hypotheses, seed)
         self._effects, self._method = tuple(effects), method
-        self._options = {"hypotheses": hypotheses, "seed": seed}
+        self._options = {"friction_laws": friction_laws, "hypotheses": hypotheses, "seed": seed}
         self._learned = learned
         self._worker = worker
         self.declare_inputs("trials", "cell_grid", "effects")
@@ -151,6 +160,9 @@ class Identification(PythonSystem):
 
 def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Callable[..., Learned]:
     """`identify` with effects of the library and a method; the other arguments remain to be given.
+
+    Only Coulomb's law of friction is tried, as in the robot's own loops, unless they include
+    `friction_laws=True`.
 
     Raises:
         EffectError: an unknown effect.

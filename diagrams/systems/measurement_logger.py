@@ -296,6 +296,7 @@ def dataset_of(
     name: str,
     finger_radius: float,
     noise: Noise,
+    mass: float | None = None,
     table: Table | None = None,
     gravity: float = 9.81,
     finger_height: float | None = None,
@@ -307,11 +308,12 @@ def dataset_of(
         trials: one or more.
         grid: the object as seen by the camera.
         finger_radius: m.
+        mass: of the object, if it was weighed, kg.
         gravity: m/s².
         finger_height: of the finger's lower end above the table, where known, m.
 
     Raises:
-        DatasetError: there is no trial.
+        DatasetError: there is no trial, or a mass, radius or gravity that is not positive.
     """
     digest = hashlib.sha256(grid.centers.tobytes() + grid.edges.tobytes())
     for trial in trials:
@@ -323,7 +325,7 @@ def dataset_of(
         description=description,
         grid=grid,
         height=None,
-        mass=None,
+        mass=mass,
         finger_radius=finger_radius,
         finger_height=finger_height,
         table=table,

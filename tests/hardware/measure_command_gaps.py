@@ -76,7 +76,8 @@ def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
         learning = builder.AddSystem(
             Identification(
                 lambda some, grid: replace(dataset, trials=tuple(some)),
-                hypotheses=100, worker=worker, learned=lambda belief, count: learned.append(time.monotonic()),
+                hypotheses=100, friction_laws=False, worker=worker,
+                learned=lambda belief, count: learned.append(time.monotonic()),
             )
         )  # fmt: skip
         for port, value in (

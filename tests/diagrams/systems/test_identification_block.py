@@ -10,8 +10,10 @@ from driven_block import DrivenBlock
 from hidden_effects import TILT, tilted_pushes
 
 from slipmap.diagrams.systems.identification import PERIOD, Identification
+from slipmap.diagrams.systems.measurement_logger import dataset_of
 from slipmap.models.effects import EffectError
 from slipmap.models.inference.identification import identify
+from slipmap.models.measurements import Noise
 
 K, SEED = 4, 7
 
@@ -25,6 +27,7 @@ class Learner(DrivenBlock):
         self.orders: list[int | None] = []
         block = Identification(
             self._dataset,
+            friction_laws=False,
             hypotheses=K,
             seed=SEED,
             learned=lambda belief, count: self.told.append((belief, count)),
@@ -98,11 +101,25 @@ def test_its_belief_is_that_of_the_command(history):
     assert np.array_equal(belief.probability, expected.probability)
 
 
+def test_without_further_arguments_it_answers_as_identify_does():
+    trials, grid = tilted_pushes().fit_trials[:4], tilted_pushes().grid
+    learner = DrivenBlock(Identification(grid=grid, mass=0.7, finger_radius=0.01), trials=trials)
+    learner.advance(0.5 * PERIOD)
+    belief = learner.read("belief")
+    same = dataset_of(trials, grid, name="recorded", finger_radius=0.01, noise=Noise(), mass=0.7)
+    expected = identify(same).belief
+    assert len(belief.settings["friction_laws"]) > 1
+    assert belief.settings["known_mass"] == 0.7
+    assert np.array_equal(belief.maps.mass, expected.maps.mass)
+    assert np.array_equal(belief.maps.mu, expected.maps.mu)
+
+
 def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
     trials = tilted_pushes().fit_trials[:6]
     block = Identification(
         lambda trials, grid: replace(tilted_pushes(), trials=tuple(trials)),
         effects=["table_tilt"],
+        friction_laws=False,
         hypotheses=2,
     )
     learner = DrivenBlock(block, trials=trials, cell_grid=tilted_pushes().grid)
