@@ -234,6 +234,7 @@ def _entries(
     entries: list[Entry] = []
     forced: dict[str, bool] = {}
     orders: dict[str, int] = {}
+    taken: set[int] = set()
     files: dict[Path, int] = {}
     for row, value in enumerate(listed):
         place = f"{where}: trials, row {row}"
@@ -256,10 +257,11 @@ def _entries(
         order = entry.get("order", row)
         if isinstance(order, bool) or not isinstance(order, int) or order < 0:
             raise DatasetError(f"{place}: order must be a whole number from 0, got {parsing.shown(order)}")
-        if order in orders.values():
+        if order in taken:
             raise DatasetError(
                 f"{place}: order {order} is also that of another trial; a trial without `order` has its row's"
             )
+        taken.add(order)
         orders[name] = order
         entries.append((name, role))
     return entries, forced, orders
