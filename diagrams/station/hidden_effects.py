@@ -87,7 +87,7 @@ class TableFrictionField(_Numbers):
 
     _not_negative = ("patch_radius",)
 
-    # gradient_x, gradient_y: relative rise along x and y, 1/m
+    # gradient_x, gradient_y: rise along x and y relative to friction at the patch's centre, 1/m
     gradient_x: float = 0.0
     gradient_y: float = 0.0
     patch: float = 0.0  # logarithm of the factor on a round patch
@@ -98,8 +98,9 @@ class TableFrictionField(_Numbers):
 
     def factor(self, points: FloatArray) -> FloatArray:
         """(k,) factor on friction at points (k, 2), world, m."""
-        inside = np.hypot(points[:, 0] - self.patch_x, points[:, 1] - self.patch_y) < self.patch_radius
-        slope = 1 + points @ np.array([self.gradient_x, self.gradient_y])
+        away = points - [self.patch_x, self.patch_y]
+        inside = np.hypot(*away.T) < self.patch_radius
+        slope = 1 + away @ np.array([self.gradient_x, self.gradient_y])
         return np.maximum(slope, 0.0) * np.exp(self.patch * inside)
 
 

@@ -169,6 +169,14 @@ class Effect:
         """Delay of the sensor's forces, s; 0 without the effect."""
         return None
 
+    def level(self, place: FloatArray, values: FloatArray) -> FloatArray:
+        """(K,) factor on friction at a place (2,), world, m, outside any patch, for parameters (K, P).
+
+        Total friction is reported with it, at the mean place of the pushes; 1 where friction does not depend
+        on the place.
+        """
+        return np.ones(len(values))
+
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         """Starting points of a search, for parameters without a null; those not named keep their `start`."""
         return [{}]

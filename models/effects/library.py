@@ -6,6 +6,7 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect, Parameter, Scene
 from slipmap.models.effects.symbols import REST_SPEED, force_at_mass_center, positive_part, smooth_step, sp
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 class SensorLatency(Effect):
@@ -219,8 +220,16 @@ class TableFrictionField(Effect):
     belongs_to = "table"
     sentence = "Friction varies with the position on the table: a gradient, a patch, or both."
     parameters = (
-        Parameter("gradient_x", "1/m", "relative increase of friction along x", -8.0, 8.0, 1.0, 0.0),
-        Parameter("gradient_y", "1/m", "relative increase of friction along y", -8.0, 8.0, 1.0, 0.0),
+        Parameter(
+            "gradient_x",
+            "1/m",
+            "rise of friction along x over that at the patch's centre",
+            -8.0,
+            8.0,
+            1.0,
+            0.0,
+        ),
+        Parameter("gradient_y", "1/m", "the same along y", -8.0, 8.0, 1.0, 0.0),
         Parameter("patch", "1", "logarithm of the friction factor on a round patch", -2.5, 2.5, 0.5, 0.0),
         Parameter("patch_x", "m", "centre of the patch, x", -10.0, 10.0, 0.1),
         Parameter("patch_y", "m", "centre of the patch, y", -10.0, 10.0, 0.1),
@@ -231,8 +240,15 @@ class TableFrictionField(Effect):
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
         # Share of the cell inside the patch: the patch's edge is sharper than a cell is wide.
         inside = smooth_step(p.patch_radius - distance, cell.width)
-        rise = 1 + p.gradient_x * cell.x + p.gradient_y * cell.y
+        # The patch's centre, where searches start among the pushes, anchors the gradient as well: the world's
+        # origin may be anywhere.
+        rise = 1 + p.gradient_x * (cell.x - p.patch_x) + p.gradient_y * (cell.y - p.patch_y)
         return positive_part(rise, 0.02) / positive_part(1, 0.02) * sp.exp(p.patch * inside)
+
+    def level(self, place: FloatArray, values: FloatArray) -> FloatArray:
+        gradient, center = values[:, :2], values[:, 3:5]
+        rise = 1.0 + (gradient * (place - center)).sum(axis=1)
+        return np.asarray((rise + np.hypot(rise, 0.02)) / (1.0 + np.hypot(1.0, 0.02)))
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         places = np.array([-0.6, 0.0, 0.6]) * scene.reach

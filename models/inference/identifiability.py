@@ -33,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
+from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import MODEL_ERRORS
@@ -94,12 +95,15 @@ class _Seen:
     forces: bool  # whether there are forces that count
     recorded: bool  # whether there are any
     missed: float  # model error α
+    place: FloatArray  # (2,) mean place of the object, world, m
     contradicted: bool = False  # whether forces were left out because they contradict the contact
 
     @classmethod
     def of(cls, likelihood: Likelihood) -> _Seen:
         observations = likelihood.observations
         pushes = [observation.push for observation in observations]
+        poses = np.concatenate([o.poses for o in observations])
+        middle = likelihood.prior.slider.grid.centers.mean(axis=0)
         turns = [abs(o.poses[-1, 2] - o.push.start_pose[2]) for o in observations]
         return cls(
             max(turns),
@@ -108,6 +112,7 @@ class _Seen:
             any(observation.sliding.any() for observation in observations),
             any(len(observation.forces) for observation in observations),
             likelihood.settings.model_error,
+            (poses[:, :2] + rotated(middle, poses[:, 2])).mean(axis=0),
         )
 
     def unless_missed(self, reason: str) -> str:
@@ -276,6 +281,13 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     def load(maps: Maps) -> FloatArray:
         return maps.mass * maps.mu * g
 
+    def total(maps: Maps) -> FloatArray:
+        result, first = load(maps).sum(axis=1), 0
+        for effect in slider.effects:  # their parameters come first in the belief
+            last = first + len(effect.parameters)
+            result, first = result * effect.level(seen.place, maps.effects[:, first:last]), last
+        return result
+
     def share(maps: Maps) -> FloatArray:
         f = load(maps)
         return f / f.sum(axis=1, keepdims=True)
@@ -319,7 +331,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         else "no finger touches the object"
     )
     measures = [
-        _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
+        _Measure("total friction", "N", total, True,
                  "force in steady sliding" if seen.forces else scale,
                  weak_force if seen.forces else no_force),
         *(

@@ -111,6 +111,9 @@ def test_patch_and_gradient_of_the_tables_friction() -> None:
     gradient = [2.0, -1.0, 0.0, 0.0, 0.0, 0.1]
     assert braking(name, gradient, (0.1, 0.05)) == pytest.approx(MU * 1.15, rel=1e-3)
     assert braking(name, gradient, (-0.2, 0.1)) == pytest.approx(MU * 0.5, rel=1e-3)
+    elsewhere = [2.0, -1.0, 0.0, 0.8, -0.3, 0.1]
+    assert braking(name, elsewhere, (0.9, -0.25)) == pytest.approx(MU * 1.15, rel=1e-3)
+    assert EFFECTS[name].level(np.array([0.9, -0.25]), np.array([elsewhere])) == pytest.approx(1.15, rel=1e-3)
     assert 0 < braking(name, gradient, (-0.9, 0.1)) < 0.02 * MU
 
 

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference import identification
 from slipmap.models.inference.identifiability import thirds_of
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Quantity
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import Channel, PushDataset, Trial
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Slider
@@ -63,6 +64,36 @@ def test_a_weighed_mass_is_shown_even_by_slow_pushes():
     facts = learned(replace(dataset, mass=mass))
     assert facts["total mass"].shown
     assert not facts["moment of inertia about the centre of mass"].shown
+
+
+def test_friction_that_rises_along_the_table_is_reported_where_the_pushes_were_wherever_the_origin_is():
+    grid = cells_from_polygon([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]], count=40)
+    effects = effects_named(["table_friction_field"])
+    slider = Slider(grid, finger_radius=0.006, effects=effects)
+    n, values = len(grid), np.array([[1.5, 0.0, 0.0, 0.0, 0.0, 0.1]])
+    maps = Maps(np.full((1, n), 0.7 / n), np.full((1, n), 0.35), np.array([0.3]), values)
+    rng = np.random.default_rng(2)
+    pushes = [
+        candidate.push([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3.0, 3.0)])
+        for candidate in candidate_pushes(grid, 0.006, rng, 8, length=(0.05, 0.1))
+    ]
+    dataset = record_pushes(slider, maps, pushes, rng, mass=0.7, rate=100.0)
+
+    def shifted(trial: Trial, x: float) -> Trial:
+        pose, tip = trial.object_pose, trial.tip_pose
+        return replace(
+            trial,
+            object_pose=Channel(pose.time, pose.values + np.array([x, 0.0, 0.0])),
+            tip_pose=Channel(tip.time, tip.values + np.array([x, 0.0])),
+        )
+
+    middle = np.mean([trial.object_pose.values[:, 0].mean() for trial in dataset.trials])
+    moved = replace(dataset, trials=tuple(shifted(trial, 1.5) for trial in dataset.trials))
+    result = identify(moved, effects, hypotheses=4, friction_laws=False)
+    facts = {quantity.name: quantity for quantity in result.quantities}
+    rise = facts["table_friction_field: gradient_x"]
+    assert rise.shown and rise.low < 1.5 < rise.high
+    assert facts["total friction"].value == pytest.approx(0.7 * 9.81 * 0.35 * (1 + 1.5 * middle), rel=0.06)
 
 
 def light_in_the_middle(seed: int) -> tuple[PushDataset, dict[str, float]]:
