@@ -7,6 +7,7 @@ refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.inference.likelihood import NormalEquations, PushCosts
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import StageProgress, go_on, part_of
 
 _EQUATIONS = 2**29
@@ -24,6 +26,15 @@ _UNDECIDED, _OUT_OF_REACH = 3, 30.0
 """A hypothesis is not given up in its first iterations, nor later unless it is behind by more than this
 factor times what an undamped step promises. In the diagnoses of two datasets (effects/public-tilt and
 public-field), no search fell by more than 9.5 times that from there on; this is three times as much."""
+
+
+_MOST_DAMPED = 1e6
+"""Damping beyond which a step is as good as none."""
+
+_UNSOLVED = (
+    "how the pushes depend on the maps cannot be computed; does the object start or end where it tips?"
+    " `slipmap check` looks at the table, the frames and the units"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +84,7 @@ def fit(
         progress: called with (iteration, iterations).
 
     Raises:
-        RolloutError: the start cannot be computed.
+        RolloutError: the start cannot be computed, or no step from where a search is.
         Unwanted: nobody waits for the fit any more; see `go_on`.
     """
     K, B = len(start), len(likelihood.observations)
@@ -140,13 +151,23 @@ def _damped_step(
     equations: NormalEquations, k: int, from_mean: FloatArray, damping: float, longest: float = 1.5
 ) -> FloatArray:
     """(d,) step of hypothesis k; no coordinate changes by more than `longest` standard deviations of the
-    prior."""
-    system = equations.hessian[k].copy()
-    diagonal = np.diagonal(system) + 1.0
-    np.fill_diagonal(system, diagonal * (1.0 + damping))
-    factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
-    step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
-    return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
+    prior.
+
+    Raises:
+        RolloutError: the quadratic model has no finite minimum, however it is damped.
+    """
+    diagonal = np.diagonal(equations.hessian[k]) + 1.0
+    while damping < _MOST_DAMPED:
+        system = equations.hessian[k].copy()
+        np.fill_diagonal(system, diagonal * (1.0 + damping))
+        with suppress(np.linalg.LinAlgError):
+            factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
+            step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
+            if np.isfinite(step).all():
+                return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
+        # An object about to tip moves far for a tiny change of the maps: rounding outweighs the prior.
+        damping = max(10.0 * damping, 1e-6)
+    raise RolloutError(_UNSOLVED)
 
 
 def _shifted(

@@ -35,7 +35,12 @@ from slipmap.models.measurements.importing.clocks import (
 )
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
-from slipmap.models.measurements.trial_checks import impossible, seems_degrees, turns_like_degrees
+from slipmap.models.measurements.trial_checks import (
+    beyond_table,
+    impossible,
+    seems_degrees,
+    turns_like_degrees,
+)
 from slipmap.models.measurements.what_pushes_show import (
     EFFECT_NEEDS,
     Coverage,
@@ -140,7 +145,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         *_noises(dataset),
     ]
     place = len(findings)
-    findings += _impossible(dataset)
+    findings += [*_impossible(dataset), *_table(dataset)]
     # Of pushes in degrees, contact tells nothing but that.
     if right := tuple(trial for trial in dataset.trials if trial.name not in turned):
         judged = replace(dataset, trials=right)
@@ -452,6 +457,15 @@ def _impossible(dataset: PushDataset) -> list[Finding]:
         return []
     text = f"not possible in {len(found)} of {len(dataset.trials)} pushes"
     return [Finding("units and frames", text, "wrong", max(found, key=found.count))]
+
+
+def _table(dataset: PushDataset) -> list[Finding]:
+    """A finding if the declared table could not carry the object, or if it fell."""
+    said, share = beyond_table(dataset, dataset.trials)
+    if said is None:
+        return []
+    found, _, advice = said.partition("; ")
+    return [Finding("table", found, "wrong" if share > _WRONG_SHARE else "note", advice)]
 
 
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:

@@ -141,6 +141,48 @@ def test_objects_that_no_table_carries_are_wrong_and_nothing_is_learned(table):
         identify(beside)
 
 
+def at_rim(beyond, numbers=range(8)):
+    """Pushes in all directions that begin with the outline's middle so far, m, beyond a table's rim."""
+    dataset = straight_pushes(8)
+    moved = []
+    for trial in (dataset.trials[number] for number in numbers):
+        pose, tip = trial.object_pose, trial.tip_pose
+        x, y, _ = pose.values[0]
+        poses = Channel(pose.time, pose.values - np.array([x, y, 0.0]))
+        moved.append(
+            replace(trial, object_pose=poses, tip_pose=Channel(tip.time, tip.values - np.array([x, y])))
+        )
+    table = Table("rectangle", (-beyond - 1.0, 0.0), size=(2.0, 2.0))
+    return replace(dataset, trials=tuple(moved), table=table)
+
+
+def test_a_table_off_which_the_object_would_fall_wherever_its_mass_is_is_wrong(tmp_path):
+    contradicted = at_rim(0.02)
+    found = finding(check_dataset(contradicted), "table")
+    assert found.verdict == "wrong" and "would fall off the table" in found.found
+    assert "20 mm beyond the rim" in found.found and "table.center" in found.advice
+    write_dataset(contradicted, tmp_path)
+    (warning,) = read_dataset(tmp_path).warnings
+    assert found.found in warning and found.advice in warning
+    # The rim may be off by 10 mm, and what is always over the table may hold nearly all of the mass.
+    for possible in (at_rim(0.008), at_rim(0.02, (0, 7))):
+        assert not [one for one in check_dataset(possible).findings if "begins" in one.found]
+
+
+def test_an_object_that_ends_beyond_the_table_is_said_to_have_fallen():
+    dataset = at_rim(-0.1)
+    first, *others = dataset.trials
+    poses = first.object_pose.values + np.linspace(0.0, 0.15, len(first.object_pose.time))[:, None] * [
+        1,
+        0,
+        0,
+    ]
+    fell = replace(first, object_pose=Channel(first.object_pose.time, poses))
+    found = finding(check_dataset(replace(dataset, trials=(fell, *others))), "table")
+    assert found.verdict == "note" and "trials/000.json: the object ends" in found.found
+    assert "so it fell" in found.found and "end the trial" in found.advice
+
+
 def slid(times, tip):
     """A free slide at 1 m/s that has begun before the first row."""
     way = times - 1.2 * times**2
