@@ -47,6 +47,9 @@ from slipmap.models.physics.rollout import Maps, Slider
 SHOWN_SHARE = 0.25
 """A quantity that keeps less than this share of its prior variance counts as shown."""
 
+_KEPT = 0.04
+"""How far the logarithm of the total mass may be off what was weighed: two standard deviations of that."""
+
 _FEW_WIDTHS = 1.25
 """Widths of a cell; an object whose friction arm is shorter rests on too few cells to follow its base. The
 arm of three by three equal cells is 1.07 widths, that of four by four 1.53."""
@@ -170,6 +173,10 @@ def quantities(
         value, low, high = interval(values, belief.probability, log=measure.log, more=more)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
+        if measure.name == "total mass" and prior.mass and abs(np.log(value / prior.mass)) > _KEPT:
+            shown = False
+            who = "the pushes" if prior.known is None else "the known map and the pushes"
+            measure = replace(measure, open=f"{prior.mass:.3g} kg were weighed, but {who} contradict this")
         reason = measure.shown if shown else _TOO_ALIKE if narrowed and alike else measure.open
         if shown and measure.share and not measure.given:
             reason = _basis_of_shares({one.name for one in results if one.shown}) or reason

@@ -121,16 +121,13 @@ class KnownCells:
         return self.friction_levels.shape[1] + self.mass_levels.shape[1]
 
     def total(self, mass: float | None, settings: PriorSettings) -> tuple[float, float]:
-        """Prior centre, kg, and standard deviation of the logarithm of the mass that cells share, given the
-        object's mass or None if it was not weighed."""
+        """Prior centre, kg, and standard deviation of the logarithm of a mass, given the object's own mass or
+        None: that of all cells, or of those that share the total if the object was not weighed."""
         if self.sharing.all():
             if mass is not None:
                 return mass, settings.known_mass
             return (self.known_mass, self.mass_spread) if self.known_mass else (1.0, settings.unknown_mass)
-        if mass is None:
-            return 1.0, settings.unknown_mass
-        rest = mass - self.known_mass
-        return rest, settings.known_mass * mass / rest
+        return (1.0, settings.unknown_mass) if mass is None else (mass, settings.known_mass)
 
 
 def _logarithms(
@@ -249,6 +246,12 @@ class MapPrior(EffectCoordinates):
         self.known = known
         self.cells = KnownCells.of(known or KnownMaps(), len(slider.grid), settings)
         self.total_mass, self.total_spread = self.cells.total(mass, settings)
+        # In a weighed object, the cells that share the total have what known ones leave. Within `_blur` of
+        # 0 kg this is rounded, so that it stays positive.
+        self.left_over = mass is not None and not self.cells.sharing.all()
+        rest = self.total_mass - self.cells.known_mass
+        self._blur = min(rest, settings.known_mass * self.total_mass) if self.left_over else 0.0
+        self._shift = self._blur**2 / (4.0 * rest) if self.left_over else 0.0
         members = slider.grid.members
         self._log_size = np.zeros(len(slider.grid)) if members is None else np.log(members)
         self.mass = mass
@@ -307,7 +310,14 @@ class MapPrior(EffectCoordinates):
 
         z_load, load = projected(float(of_load[0]), log_mass + log_mu)
         z_split, split = projected(float(of_split[0]), log_mass - s.mass_share * load)
-        total = np.log(maps.mass[:, cells.sharing].sum(axis=1) / self.total_mass) / self.total_spread
+        shared_mass = maps.mass[:, cells.sharing].sum(axis=1)
+        if (
+            self.left_over
+        ):  # known cells stay at their centres, and the weight bounds what the others can have
+            whole = cells.known_mass + self._shift + shared_mass - self._blur**2 / (4.0 * shared_mass)
+            low, high = np.exp(np.array([-2.0, 2.0]) * self.total_spread) * self.total_mass
+            shared_mass = np.clip(whole, low, high)
+        total = np.log(shared_mass / self.total_mass) / self.total_spread
         shared = np.zeros((K, cells.levels))
         if sized.any():
             share = cells.friction_share
@@ -357,6 +367,10 @@ class MapPrior(EffectCoordinates):
         shape = shape - np.where(cells.sharing, largest, -errors[:, k:] @ cells.mass_levels.T)
         shape = np.exp(shape)
         total = self.total_mass * np.exp(np.clip(self.total_spread * z[:, 2 * r], -12.0, 12.0))
+        if self.left_over:
+            rest = total - (shape * ~cells.sharing).sum(axis=1) - self._shift
+            root = np.hypot(rest, self._blur)
+            total = 0.5 * np.where(rest > 0.0, rest + root, self._blur**2 / (root - np.minimum(rest, 0.0)))
         shared = total[:, None] * shape / (shape * cells.sharing).sum(axis=1, keepdims=True)
         log_mu = (
             cells.log_friction
@@ -416,7 +430,21 @@ class MapPrior(EffectCoordinates):
             [load * cells.sharing[:, None], (moved * cells.sharing).sum(axis=-1, keepdims=True)], axis=1
         )
         shared = maps.mass * cells.sharing
-        share = shared / shared.sum(axis=1, keepdims=True)
+        rest = shared.sum(axis=1, keepdims=True)
+        share, by_whole = shared / rest, np.ones_like(rest)
+        pull = np.zeros_like(shared)
+        if self.left_over:
+            # d log rest = slope / rest (d whole - Σ d m_known), and what known cells gain the others lose.
+            slope = 1.0 / (1.0 + self._blur**2 / (4.0 * rest**2))
+            pull = (maps.mass - shared) * slope / rest
+            whole = (
+                rest
+                - self._blur**2 / (4.0 * rest)
+                + self._shift
+                + (maps.mass - shared).sum(axis=1, keepdims=True)
+            )
+            by_whole, share = whole * slope / rest, share + pull
+        by_whole, lost = by_whole[..., None], (pull @ cells.mass_levels)[:, None]
         by_mass -= by_total * (share @ massive)[:, None]
         still = np.zeros((K, INERTIA_COLUMNS, cells.friction_levels.shape[1]))
         masses = 0 if self.slider.table is None else n
@@ -425,9 +453,10 @@ class MapPrior(EffectCoordinates):
             [
                 of_load * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
                 of_split * (by_mass - by_friction),
-                by_total * self.total_spread,
+                by_total * by_whole * self.total_spread,
                 np.concatenate([load * cells.friction_levels, still], axis=1),
-                np.concatenate([load * cells.mass_levels, moved @ cells.mass_levels], axis=1),
+                np.concatenate([load * cells.mass_levels, moved @ cells.mass_levels], axis=1)
+                - by_total * lost,
             ],
             axis=-1,
         )
@@ -442,9 +471,9 @@ class MapPrior(EffectCoordinates):
                 [
                     of_load * s.mass_share * by_load,
                     of_split * by_load,
-                    mass * cells.sharing[:, None] * self.total_spread,
+                    mass * cells.sharing[:, None] * by_whole * self.total_spread,
                     unmoving,
-                    mass * cells.mass_levels,
+                    mass * (cells.mass_levels - cells.sharing[:, None] * lost),
                 ],
                 axis=-1,
             )

@@ -66,6 +66,12 @@ def test_a_weighed_mass_is_shown_even_by_slow_pushes():
     assert not facts["moment of inertia about the centre of mass"].shown
 
 
+def test_a_weight_that_the_pushes_contradict_is_not_shown():
+    dataset, mass = pushed(0.3, (0.2, 0.3))
+    total = learned(replace(dataset, mass=2.0 * mass))["total mass"]
+    assert not total.shown and "kg were weighed, but the pushes contradict this" in total.reason
+
+
 def test_friction_that_rises_along_the_table_is_reported_where_the_pushes_were_wherever_the_origin_is():
     grid = cells_from_polygon([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]], count=40)
     effects = effects_named(["table_friction_field"])

@@ -25,6 +25,7 @@ def partly(values, cells):
 
 
 PARTS = KnownMaps(partly(0.05, 8), partly(0.5, 12), 0.25, mass_spread=0.1, friction_spread=0.04)
+MOST = KnownMaps(partly(0.099, 8), partly(0.5, 12), 0.25, mass_spread=0.02, friction_spread=0.04)
 PLATE = KnownMaps(np.ones(N), np.ones(N), mass_ratios=True, friction_ratios=True, friction_spread=0.02)
 
 
@@ -61,7 +62,14 @@ def test_a_uniform_plate_keeps_an_open_size():
     assert np.log(maps.mass.sum(axis=1)).std() == pytest.approx(SETTINGS.unknown_mass, rel=0.06)
 
 
-@pytest.mark.parametrize("known", [PARTS, PLATE], ids=["parts", "plate"])
+def test_a_weighed_object_keeps_its_mass_whatever_is_known_of_its_cells():
+    for known in (PARTS, MOST):
+        maps = drawn(prior_of(known))
+        assert np.log(maps.mass.sum(axis=1) / 0.8).std() < 1.3 * SETTINGS.known_mass
+        assert maps.mass.min() > 0.0
+
+
+@pytest.mark.parametrize("known", [PARTS, MOST, PLATE], ids=["parts", "most", "plate"])
 @pytest.mark.parametrize("table", [None, Table("round", (0.0, 0.0), radius=0.5)], ids=["endless", "table"])
 def test_derivatives_are_those_of_the_maps(known, table):
     prior = prior_of(known, table=table)
@@ -95,6 +103,14 @@ def test_coordinates_near_some_maps_give_their_free_cells():
 
 def learn(dataset, known):
     return identify(dataclasses.replace(dataset, known=known), hypotheses=4, friction_laws=False)
+
+
+def test_a_wrong_known_map_does_not_change_a_weighed_mass(recorded):
+    mass, n = float(recorded.truth.mass.sum()), len(recorded.dataset.grid)
+    known = KnownMaps(np.where(np.arange(n) < n // 3, 0.99 * mass / (n // 3), np.nan))
+    result = learn(dataclasses.replace(recorded.dataset, mass=mass), known)
+    (total,) = [one for one in result.quantities if one.name == "total mass"]
+    assert total.low < mass < total.high < 1.15 * mass
 
 
 def test_true_maps_predict_better_than_learnt_ones_and_wrong_ones_are_doubted(recorded):
