@@ -7,9 +7,10 @@ is left, where it was measured beforehand, or, if it is the parameter of an effe
 excludes the value at which the effect vanishes.
 
 Slow pushes reveal no more of mass than the load of each cell, mass times friction. With the prior of
-friction this already narrows total mass and moment of inertia, though nothing was learned of inertia. So
-these two must also keep less than a quarter of the variance that known loads leave: the squared length of the
-part of c orthogonal to the gradients of all loads, in a prior that knows neither mass nor maps.
+friction this already narrows total mass and moment of inertia, and the centre of mass because friction is
+expected to vary less than mass, though nothing was learned of inertia. So these must also keep less than a
+quarter of the variance that known loads leave: the squared length of the part of c orthogonal to the
+gradients of all loads, in a prior that knows neither mass nor maps.
 
 Hypotheses scatter by what pushes disagree about. Where the model is good, the fits allow for larger errors
 than that, and the prior draws an object unlike most others further off than its hypotheses scatter. So the
@@ -353,7 +354,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                  given=weighed, inertial=True),
         *(
             _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
-                     "friction and inertia follow the mass", slow)
+                     "inertia follows the mass", slow, inertial=True)
             for i, axis in enumerate("xy")
         ),
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,

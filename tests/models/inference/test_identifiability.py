@@ -10,7 +10,7 @@ from slipmap.models.inference import identification
 from slipmap.models.inference.identifiability import thirds_of
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Quantity
-from slipmap.models.measurements import Channel, PushDataset, Trial
+from slipmap.models.measurements import Channel, KnownMaps, PushDataset, Trial
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Slider
@@ -70,6 +70,28 @@ def test_a_weight_that_the_pushes_contradict_is_not_shown():
     dataset, mass = pushed(0.3, (0.2, 0.3))
     total = learned(replace(dataset, mass=2.0 * mass))["total mass"]
     assert not total.shown and "kg were weighed, but the pushes contradict this" in total.reason
+
+
+@pytest.mark.parametrize(
+    ("speed", "known", "shown"),
+    [((0.03, 0.1), False, False), ((0.03, 0.1), True, True), ((0.25, 0.6), False, True)],
+    ids=["slow", "slow, with known friction", "fast"],
+)
+def test_the_centre_of_mass_is_shown_by_inertia_or_known_friction(speed, known, shown):
+    """Slow pushes of an object whose halves have frictions 4:1 show no more of it than the halves' loads."""
+    grid = cells_from_polygon([[-0.08, -0.04], [0.08, -0.04], [0.08, 0.04], [-0.08, 0.04]])
+    slider, n = Slider(grid, finger_radius=0.006), len(grid)
+    mu = np.where(grid.centers[:, 0] > 0, 0.48, 0.12)
+    maps = Maps(np.full((1, n), 0.7 / n), mu[None], np.array([0.3]))
+    rng = np.random.default_rng(0)
+    pushes = [
+        candidate.push([0.0, 0.0, rng.uniform(-3.0, 3.0)])
+        for candidate in candidate_pushes(grid, 0.006, rng, 8, length=(0.05, 0.12), speed=speed)
+    ]
+    dataset = record_pushes(slider, maps, pushes, rng, mass=0.7, rate=100.0)
+    center = learned(replace(dataset, known=KnownMaps(friction=mu) if known else None))["centre of mass, x"]
+    assert center.shown == shown
+    assert center.low < 0.0 < center.high or not shown
 
 
 def test_friction_that_rises_along_the_table_is_reported_where_the_pushes_were_wherever_the_origin_is():
