@@ -127,7 +127,9 @@ def fit(
         promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
         trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])
         new_cost = total(trial.cost, new_z, active)
-        better = new_cost < cost[active]
+        # Nothing leads on from where the object is about to tip and the slopes overflow.
+        sound = np.isfinite(trial.hessian).all(axis=(1, 2)) & np.isfinite(trial.gradient).all(axis=1)
+        better = (new_cost < cost[active]) & sound
         gain = np.where(better, cost[active] - new_cost, 0.0)
         winners = active[better]
         z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]

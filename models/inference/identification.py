@@ -11,6 +11,7 @@ likelihood, with its prior centred where the strict one led.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,7 +44,7 @@ from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, 
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.push_dataset import check_dataset_given
-from slipmap.models.measurements.trial_checks import contradicted_by_contact
+from slipmap.models.measurements.trial_checks import beyond_table, contradicted_by_contact
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps
 from slipmap.models.progress import Progress, about, silent
@@ -105,6 +106,9 @@ def identify(
     added = effects_given(effects)
     check_method(method, added)
     check_request(dataset, hypotheses, seed)
+    off, _ = beyond_table(dataset, dataset.trials)
+    if off is not None and not any(off in warning for warning in dataset.warnings):  # not read from a file
+        logging.getLogger("slipmap.measurements").warning("dataset %s: %s", dataset.name, off)
     started = time.perf_counter()
     report = progress or silent
     report("preparing pushes", 0, 1)

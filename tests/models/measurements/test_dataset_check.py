@@ -156,7 +156,7 @@ def at_rim(beyond, numbers=range(8)):
     return replace(dataset, trials=tuple(moved), table=table)
 
 
-def test_a_table_off_which_the_object_would_fall_wherever_its_mass_is_is_wrong(tmp_path):
+def test_a_table_off_which_the_object_would_fall_wherever_its_mass_is_is_wrong(tmp_path, caplog):
     contradicted = at_rim(0.02)
     found = finding(check_dataset(contradicted), "table")
     assert found.verdict == "wrong" and "would fall off the table" in found.found
@@ -164,6 +164,9 @@ def test_a_table_off_which_the_object_would_fall_wherever_its_mass_is_is_wrong(t
     write_dataset(contradicted, tmp_path)
     (warning,) = read_dataset(tmp_path).warnings
     assert found.found in warning and found.advice in warning
+    caplog.clear()
+    identify(contradicted, hypotheses=2, friction_laws=False)
+    assert found.found in caplog.text
     # The rim may be off by 10 mm, and what is always over the table may hold nearly all of the mass.
     for possible in (at_rim(0.008), at_rim(0.02, (0, 7))):
         assert not [one for one in check_dataset(possible).findings if "begins" in one.found]
