@@ -22,7 +22,7 @@ from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
@@ -98,6 +98,9 @@ class Fitter:
 
         The forgiving likelihood of the identification comes first: it finds the right minimum, where the
         strict one, with its many correlated rows, gets stuck on the way.
+
+        Raises:
+            DatasetError: the pushes cannot be computed from there.
         """
         prior = self.prior(())
         own = part_of(progress, 0, 3)
@@ -106,7 +109,10 @@ class Fitter:
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, 0.02, 0.08))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
         for place in (1, 2):
-            fitted = self.base(estimate_errors(fitted, self.noise), fitted, part_of(progress, place, 3))
+            try:
+                fitted = self.base(estimate_errors(fitted, self.noise), fitted, part_of(progress, place, 3))
+            except RolloutError as error:
+                raise DatasetError(f"dataset {self.dataset.name}: {error}") from error
         self.weight = self._weight_of(fitted)
         return fitted
 

@@ -67,7 +67,7 @@ _DRAG = 400 * AREA / FRICTION  # s/m
         ("anisotropic_table", [0.0, 0.15], "grain", 0.15),
         ("anisotropic_object", [0.1, 0.12], "grain", np.hypot(0.1, 0.12)),
         ("table_tilt", [0.01, 0.014], "force", np.hypot(0.01, 0.014) / MU),
-        ("table_friction_field", [2.0, 1.0, 0.0, 5.0, 5.0, 0.01], "place", 0.1 * np.hypot(2.0, 1.0)),
+        ("table_friction_field", [2.0, 1.0, 0.0, 0.0, 0.0, 0.01], "place", 0.1 * np.hypot(2.0, 1.0)),
         ("torsional_friction", [2e-3], "torsion", 2e-3 / (MU * ARMS.mean())),
         (
             "slip_load", [0.4], "load_follows_slip",
