@@ -117,6 +117,8 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         return _worst_repeated(diagnosis, dataset, habits)
     question = _question(diagnosis, dataset, habits)
     rivals = question.rivals
+    if not question.pairs:  # no effect could be refitted beside the model without
+        return None
     try:
         # Fewer candidates if there are many models, to limit the time.
         count = _CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else _CANDIDATES

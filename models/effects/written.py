@@ -18,6 +18,7 @@ from slipmap.models.effects.symbols import Names, latex_name, real, writing, wri
 
 _ROUNDING = 1e-5  # smaller constants in a sum only smooth the formula
 _LONG = 14  # formulas with more operations get names for repeated parts
+_WIDE = 120  # characters of a formula from which short parts used twice get names too
 _SIMPLIFIED = 100  # operations up to which squares of sines and cosines are combined
 
 QUANTITIES = {
@@ -183,8 +184,9 @@ def _short(number: Any) -> Any:
     return sp.Integer(round(value)) if value == round(value) else sp.Float(f"{value:.4g}", 4)
 
 
-def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]], list[Any]]:
-    """Named parts, and the expressions in terms of them; short formulas get no named parts."""
+def _split(expressions: Sequence[Any], begin: int, few: int = 3) -> tuple[list[tuple[Any, Any]], list[Any]]:
+    """Named parts, and the expressions in terms of them. Short formulas get no named parts, and short sums
+    only if they are used more than a few times."""
     if max(sp.count_ops(expression) for expression in expressions) <= _LONG:
         return [], list(expressions)
     names = (real(f"k_{{{number}}}") for number in range(begin + 1, begin + 100))
@@ -194,10 +196,12 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
         name, value = helpers[index]
         later = [e for _, e in helpers[index + 1 :]] + list(reduced)
         uses = sum(part == name for e in later for part in sp.preorder_traversal(e))
-        if uses < 2 or (sp.count_ops(value) <= 1 and (uses <= 3 or not value.is_Add)):
+        if uses < 2 or (sp.count_ops(value) <= 1 and (uses <= few or not value.is_Add)):
             del helpers[index]
             helpers[index:] = [(n, e.subs(name, value)) for n, e in helpers[index:]]
             reduced = [e.subs(name, value) for e in reduced]
+    if few > 1 and max(len(str(expression)) for expression in reduced) > _WIDE:
+        return _split(expressions, begin, few=1)
     order = {name: real(f"k_{{{begin + place}}}") for place, (name, _) in enumerate(helpers, start=1)}
     # In two steps, since a new name may be the old one of another part.
     apart = {name: sp.Dummy() for name in order}

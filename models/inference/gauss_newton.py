@@ -7,7 +7,8 @@ refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from slipmap.models.inference.likelihood import NormalEquations, PushCosts
+from slipmap.models.measurements import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import StageProgress, go_on, part_of
@@ -26,15 +28,6 @@ _UNDECIDED, _OUT_OF_REACH = 3, 30.0
 """A hypothesis is not given up in its first iterations, nor later unless it is behind by more than this
 factor times what an undamped step promises. In the diagnoses of two datasets (effects/public-tilt and
 public-field), no search fell by more than 9.5 times that from there on; this is three times as much."""
-
-
-_MOST_DAMPED = 1e6
-"""Damping beyond which a step is as good as none."""
-
-_UNSOLVED = (
-    "how the pushes depend on the maps cannot be computed; does the object start or end where it tips?"
-    " `slipmap check` looks at the table, the frames and the units"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +45,22 @@ class Fits:
         """The hypothesis of lowest cost."""
         k = [int(np.argmin(self.cost))]
         return Fits(*(getattr(self, name)[k] for name in Fits.__annotations__))
+
+
+@contextmanager
+def of_dataset(name: str) -> Iterator[None]:
+    """Fits without which nothing can be said about a dataset.
+
+    Raises:
+        DatasetError: a fit fails, as where an object moves far for a tiny change of its maps.
+    """
+    try:
+        yield
+    except (RolloutError, np.linalg.LinAlgError) as error:
+        raise DatasetError(
+            f"dataset {name}: how the pushes depend on the maps cannot be computed ({error}); does the object"
+            " start or end where it tips? `slipmap check` looks at the table, the frames and the units"
+        ) from error
 
 
 def fit(
@@ -84,7 +93,7 @@ def fit(
         progress: called with (iteration, iterations).
 
     Raises:
-        RolloutError: the start cannot be computed, or no step from where a search is.
+        RolloutError: the start cannot be computed.
         Unwanted: nobody waits for the fit any more; see `go_on`.
     """
     K, B = len(start), len(likelihood.observations)
@@ -127,9 +136,7 @@ def fit(
         promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
         trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])
         new_cost = total(trial.cost, new_z, active)
-        # Nothing leads on from where the object is about to tip and the slopes overflow.
-        sound = np.isfinite(trial.hessian).all(axis=(1, 2)) & np.isfinite(trial.gradient).all(axis=1)
-        better = (new_cost < cost[active]) & sound
+        better = new_cost < cost[active]
         gain = np.where(better, cost[active] - new_cost, 0.0)
         winners = active[better]
         z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]
@@ -153,23 +160,13 @@ def _damped_step(
     equations: NormalEquations, k: int, from_mean: FloatArray, damping: float, longest: float = 1.5
 ) -> FloatArray:
     """(d,) step of hypothesis k; no coordinate changes by more than `longest` standard deviations of the
-    prior.
-
-    Raises:
-        RolloutError: the quadratic model has no finite minimum, however it is damped.
-    """
-    diagonal = np.diagonal(equations.hessian[k]) + 1.0
-    while damping < _MOST_DAMPED:
-        system = equations.hessian[k].copy()
-        np.fill_diagonal(system, diagonal * (1.0 + damping))
-        with suppress(np.linalg.LinAlgError):
-            factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
-            step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
-            if np.isfinite(step).all():
-                return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
-        # An object about to tip moves far for a tiny change of the maps: rounding outweighs the prior.
-        damping = max(10.0 * damping, 1e-6)
-    raise RolloutError(_UNSOLVED)
+    prior."""
+    system = equations.hessian[k].copy()
+    diagonal = np.diagonal(system) + 1.0
+    np.fill_diagonal(system, diagonal * (1.0 + damping))
+    factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
+    step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
+    return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
 
 
 def _shifted(

@@ -27,7 +27,7 @@ from slipmap.models.effects.registry import effects_given
 from slipmap.models.inference.belief import END_ERRORS, OUTLINE_ERROR, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.gauss_newton import fit as fit_maps
+from slipmap.models.inference.gauss_newton import fit as fit_maps, of_dataset
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import (
@@ -164,9 +164,9 @@ def learn(
         fitted = [observation.without_forces for observation in fitted]
 
     few = with_fewer_cells(dataset)
-    every = explain(
-        few, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
-    )
+    fitting = partial(report, "fitting")
+    with of_dataset(dataset.name):
+        every = explain(few, fitted, prior_settings, fitting, found, plain_only=not friction_laws)
     share_of_known = None
     if dataset.known is not None and found is None:
         free, own = replace(few, known=None), partial(report, "fitting free maps")

@@ -18,11 +18,11 @@ from slipmap.models.inference.diagnosis.correlated import (
     whitened_rows,
 )
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise
-from slipmap.models.inference.gauss_newton import fit
+from slipmap.models.inference.gauss_newton import fit, of_dataset
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
-from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
@@ -104,15 +104,14 @@ class Fitter:
         """
         prior = self.prior(())
         own = part_of(progress, 0, 3)
-        first = fit(self._forgiving(prior), prior.starts(), worth=np.inf, progress=own).best()
+        with of_dataset(self.dataset.name):
+            first = fit(self._forgiving(prior), prior.starts(), worth=np.inf, progress=own).best()
         self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, 0.02, 0.08))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
         for place in (1, 2):
-            try:
+            with of_dataset(self.dataset.name):
                 fitted = self.base(estimate_errors(fitted, self.noise), fitted, part_of(progress, place, 3))
-            except RolloutError as error:
-                raise DatasetError(f"dataset {self.dataset.name}: {error}") from error
         self.weight = self._weight_of(fitted)
         return fitted
 

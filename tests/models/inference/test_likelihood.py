@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.inference.gauss_newton import fit
-from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings, NormalEquations
+from slipmap.models.inference.gauss_newton import fit, of_dataset
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
-from slipmap.models.measurements import Noise
+from slipmap.models.measurements import DatasetError, Noise
 from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
-from slipmap.models.physics.rollout import RolloutError, Slider
+from slipmap.models.physics.rollout import Slider
 from slipmap.planners.exploration import candidate_pushes
 
 
@@ -206,27 +206,6 @@ def test_huber_cost_is_linear_beyond_its_limit(likelihood):
     assert weight == pytest.approx([1.0, 1.0, 0.5, 1.0 / 3.0])
 
 
-class Bent:
-    """One push whose cost is ½ |z - 1|², whose curvature (2, 2) rounding has spoiled."""
-
-    observations = (None,)
-    start_sigma = np.ones((1, 3))
-
-    def __init__(self, curvature):
-        self.curvature = np.array(curvature)
-
-    def linearise(self, z, offsets, strength, weights):
-        K, d = z.shape
-        cost, none = 0.5 * ((z - 1.0) ** 2).sum(axis=1, keepdims=True), np.zeros((1, K, d, 3))
-        hessian = np.tile(self.curvature, (K, 1, 1))
-        hessian[z[:, 0] > 0.6] = np.nan
-        return NormalEquations(cost, hessian, z - 1.0, np.zeros((1, K, 3, 3)), none[:, :, 0], none)
-
-
-def test_a_fit_goes_on_where_the_curvature_is_indefinite_and_says_what_to_check_where_it_is_not_finite():
-    found = fit(Bent([[1.0, 3.0], [3.0, 1.0]]), np.zeros((1, 2)))
-    np.testing.assert_allclose(found.z, 0.5, atol=0.02)
-    found = fit(Bent([[0.3, 0.0], [0.0, 0.3]]), np.zeros((1, 2)))  # the first step goes to 0.77
-    np.testing.assert_allclose(found.z, 0.5, atol=0.02)
-    with pytest.raises(RolloutError, match="slipmap check"):
-        fit(Bent([[np.nan, 0.0], [0.0, 1.0]]), np.zeros((1, 2)))
+def test_a_fit_that_fails_names_the_dataset_and_what_to_check():
+    with pytest.raises(DatasetError, match="dataset plate: how the pushes depend"), of_dataset("plate"):
+        raise np.linalg.LinAlgError("not positive definite")
