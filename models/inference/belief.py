@@ -222,7 +222,8 @@ class Belief:
 
     @property
     def friction_forces(self) -> FloatArray:
-        """(K,) friction force of the whole object in pure translation, Σ mu_i m_i g, N."""
+        """(K,) friction force of the whole object in pure translation, Σ mu_i m_i g, N; if
+        friction depends on the place by an effect (`Effect.level`), where its factor is 1."""
         return (self.maps.mass * self.maps.mu).sum(axis=1) * self.gravity
 
     def save(self, path: str | Path) -> None:

@@ -311,9 +311,7 @@ class MapPrior(EffectCoordinates):
         z_load, load = projected(float(of_load[0]), log_mass + log_mu)
         z_split, split = projected(float(of_split[0]), log_mass - s.mass_share * load)
         shared_mass = maps.mass[:, cells.sharing].sum(axis=1)
-        if (
-            self.left_over
-        ):  # known cells stay at their centres, and the weight bounds what the others can have
+        if self.left_over:  # known cells stay at their centres, and the weight bounds the others
             whole = cells.known_mass + self._shift + shared_mass - self._blur**2 / (4.0 * shared_mass)
             low, high = np.exp(np.array([-2.0, 2.0]) * self.total_spread) * self.total_mass
             shared_mass = np.clip(whole, low, high)

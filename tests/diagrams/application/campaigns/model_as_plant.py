@@ -10,6 +10,7 @@ import argparse
 import numpy as np
 
 from slipmap.diagrams.application.campaigns.worlds import PERIOD, DirectWorld, Motion, explored
+from slipmap.models.inference.summaries import interval
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -49,14 +50,6 @@ class ModelWorld(DirectWorld):
         return Motion(np.vstack([before, poses]), tip[::2], np.vstack([np.zeros(2), forces]))
 
 
-def middle_and_interval(values: FloatArray, probability: FloatArray) -> tuple[float, float, float]:
-    """Mean of values (K,), and the ends of the 90 % interval, of hypotheses with probabilities (K,)."""
-    order = np.argsort(values)
-    below = np.cumsum(probability[order]) - 0.5 * probability[order]
-    low, high = np.interp([0.05, 0.95], below, values[order])
-    return float(probability @ values), float(low), float(high)
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Explore objects that slide as the model says.")
@@ -70,10 +63,10 @@ def main() -> None:
         errors, held = [], np.zeros(2, dtype=int)
         for seed in range(arguments.seed, arguments.seed + arguments.explorations):
             belief, _ = explored(world, seed)
-            found = [middle_and_interval(c, belief.probability) for c in belief.centers_of_mass.T]
-            errors.append([mean - value for (mean, _, _), value in zip(found, true, strict=True)])
+            errors.append(belief.probability @ belief.centers_of_mass - true)
+            found = [interval(values, belief.probability) for values in belief.centers_of_mass.T]
             held += [low <= value <= high for (_, low, high), value in zip(found, true, strict=True)]
-            print(f"{name}, seed {seed}: centre of mass off by {np.round(1e3 * np.array(errors[-1]), 1)} mm")
+            print(f"{name}, seed {seed}: centre of mass off by {np.round(1e3 * errors[-1], 1)} mm")
         print(
             f"{name}: 90 % intervals hold the centre of mass (x, y) in {held} of {arguments.explorations};"
             f" mean error {np.round(1e3 * np.mean(errors, axis=0), 1)} mm,"

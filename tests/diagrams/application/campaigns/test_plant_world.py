@@ -9,6 +9,7 @@ from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, finger_path
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
 from slipmap.models.geometry import placed, turn
+from slipmap.models.inference.observations import observe
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.balance import balance_margins
@@ -53,6 +54,17 @@ def test_ten_centimetres_are_those_of_the_cell_grid_model(exact: PlantWorld, num
     assert np.hypot(*(expected[-1] - POSE)[:2]) > 0.02
     assert np.linalg.norm(off[:, :2], axis=1).max() < 1e-3
     assert np.abs(off[:, 2]).max() < np.radians(0.5)
+
+
+def test_a_tapped_light_object_slides_no_farther_than_the_model_says() -> None:
+    """On the walls that the arm needs it would slide 1 mm farther; see `YIELD_AT_RIGID_FINGER`."""
+    thing, pose = benchmark_object("wrench"), np.array([-0.0437, -0.0159, 1.6141])
+    world = PlantWorld(thing, noise=WorldNoise(control=0.0, sensors=Noise(), camera=0.0))
+    world.reset(pose, np.random.default_rng(0))
+    trial = world.push(TablePush(np.array([-0.072, -0.0959]), np.array([0.0099, -0.0667]), 0.3, creep=0.019))
+    end = Slider(thing.grid, world.finger_radius).rollout(thing.maps, [observe(trial).push]).end[0, 0]
+    assert np.hypot(*(end[:3] - pose)[:2]) > 0.05
+    assert np.hypot(*(world.true_pose - end[:3])[:2]) < 5e-4
 
 
 @pytest.mark.parametrize(
