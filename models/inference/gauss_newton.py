@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from slipmap.models.inference.likelihood import NormalEquations, PushCosts
+from slipmap.models.inference.likelihood import DrawnErrors, NormalEquations, PushCosts, PushLikelihood
 from slipmap.models.measurements import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -71,6 +71,7 @@ def fit(
     prior_mean: FloatArray | None = None,
     strength: FloatArray | None = None,
     offsets: FloatArray | None = None,
+    errors: DrawnErrors | None = None,
     iterations: int = 25,
     tolerance: float = 1e-3,
     worth: float | None = None,
@@ -85,6 +86,7 @@ def fit(
         prior_mean: (K, d) centre of the prior, zeros if None.
         strength: (K,) see `MapPrior.maps`, ones if None.
         offsets: (K, B, 3) start offsets to start from, zeros if None.
+        errors: that hypotheses assume in the measurements of a `Likelihood`, none if None.
         iterations: largest number of iterations.
         tolerance: a hypothesis stops when an accepted step lowers its cost by less than this share, or a
             rejected one promised no more.
@@ -107,8 +109,10 @@ def fit(
         fits = [
             fit(
                 likelihood, start[part], weights=weights[part], prior_mean=mean[part],
-                strength=strength[part], offsets=shift[part], iterations=iterations, tolerance=tolerance,
-                worth=worth, progress=None if progress is None else part_of(progress, place, len(parts)),
+                strength=strength[part], offsets=shift[part],
+                errors=None if errors is None else errors.of(part),
+                iterations=iterations, tolerance=tolerance, worth=worth,
+                progress=None if progress is None else part_of(progress, place, len(parts)),
             )
             for place, part in enumerate(parts)
         ]  # fmt: skip
@@ -121,8 +125,14 @@ def fit(
     def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:
         return (weights[who] * push_cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
 
+    def linearised(at: FloatArray, offsets: FloatArray, who: np.ndarray) -> NormalEquations:
+        if errors is None:
+            return likelihood.linearise(at, offsets, strength[who], weights[who])
+        assert isinstance(likelihood, PushLikelihood)
+        return likelihood.linearise(at, offsets, strength[who], weights[who], errors=errors.of(who))
+
     active = np.arange(K)
-    equations = likelihood.linearise(z, shift, strength, weights)
+    equations = linearised(z, shift, active)
     cost = total(equations.cost, z, active)
     for done in range(1, iterations + 1):
         go_on()
@@ -134,7 +144,7 @@ def fit(
             equations, active, step[active], damping[active], shift[active], likelihood.start_sigma
         )
         promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
-        trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])
+        trial = linearised(new_z, new_shift, active)
         new_cost = total(trial.cost, new_z, active)
         better = new_cost < cost[active]
         gain = np.where(better, cost[active] - new_cost, 0.0)

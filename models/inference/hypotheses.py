@@ -7,6 +7,12 @@ it should be, two thirds for five pushes) and pulled towards maps drawn from the
 show what the pushes disagree about, be it noise or model error; the random maps show what the pushes leave
 open. Neither requires independent errors or a correct model, which recorded pushes do not have.
 
+Where pushes agree better than the likelihood's standard deviations say, this is not enough: the prior pulls a
+fit as far as errors of that size would allow, and the hypotheses scatter less. So each also assumes errors of
+the measurements (randomised maximum likelihood: Ba, de Wiljes, Oliver and Reich, arXiv:2101.03612), as large
+as the likelihood allows, less what the residuals show, while the weights vary as much less. Under the
+smallest α only, because larger ones are there for a model that is wrong, and then pushes disagree.
+
 The likelihood assumes a model error of a share α of the distance travelled. On an object that matches the
 model, α is half a percent; in another simulator, or on a worn table, it is ten times that, and a fit that
 still trusts the pushes mistakes the model's errors for the object's maps. α follows from the evidence, by
@@ -30,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipmap.models.inference.gauss_newton import Fits, fit
-from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.likelihood import DrawnErrors, Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
@@ -91,8 +97,13 @@ def fit_with_trust(
 
 def explains_exactly(likelihood: Likelihood, found: Fits) -> bool:
     """Whether residuals are, on average, no larger than the likelihood's standard deviations."""
+    return _mean_square(likelihood, found) <= 1.0
+
+
+def _mean_square(likelihood: Likelihood, found: Fits) -> float:
+    """Mean square of the residuals of a fit, in standard deviations of the likelihood."""
     # A pose has three residuals; each costs a half if it is as large as its standard deviation.
-    return bool(found.push_cost.sum() <= 1.5 * likelihood.rows_counted)
+    return float(found.push_cost.sum()) / (1.5 * likelihood.rows_counted)
 
 
 def trusting(alpha: float) -> LikelihoodSettings:
@@ -135,6 +146,7 @@ class Draws(NamedTuple):
     weights: FloatArray  # (K, B) of the pushes
     prior_mean: FloatArray  # (K, d)
     strength: FloatArray  # (K,) see `MapPrior.spreads`
+    errors: DrawnErrors  # of the measurements
 
 
 def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_best: bool) -> Draws:
@@ -148,13 +160,33 @@ def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_bes
     """
     likelihood, _ = ladder[0]
     B = len(likelihood.observations)
-    shape = max(B - 1, 1) / (B + 1)
+    shape = _shape(B)
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
     prior_mean = rng.standard_normal((hypotheses, likelihood.prior.size))
     strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
+    stretches, (of_errors,) = int(likelihood.settings.independent), rng.spawn(1)
+    errors = DrawnErrors(
+        _in_pairs((hypotheses, B, stretches, 3), len(ladder), of_errors),
+        _in_pairs((hypotheses, B, 2), len(ladder), of_errors),
+    )
     if keep_best:
         weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
-    return Draws(weights, prior_mean, strength)
+        errors.poses[0] = errors.forces[0] = 0.0
+    return Draws(weights, prior_mean, strength, errors)
+
+
+def _shape(B: int) -> float:
+    """Of the gamma distribution of the weights of B pushes; their mean is one, their variance its inverse."""
+    return max(B - 1, 1) / (B + 1)
+
+
+def _in_pairs(shape: tuple[int, ...], rungs: int, rng: np.random.Generator) -> FloatArray:
+    """Standard normal draws for K hypotheses, the first entry of a shape. Of two in a row under the same
+    likelihood, the second has the opposite of the first one's, so that the mean of few stays near the best
+    fit."""
+    pairs = -(-shape[0] // (2 * rungs))
+    drawn = rng.standard_normal((pairs, 1, rungs, *shape[1:]))
+    return np.concatenate([drawn, -drawn], axis=1).reshape(-1, *shape[1:])[: shape[0]]
 
 
 def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, FloatArray]:
@@ -163,7 +195,7 @@ def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, F
     Returns:
         Maps of K hypotheses and their probabilities (K,).
     """
-    weights, prior_mean, strength = drawn
+    weights, prior_mean, strength, errors = drawn
     hypotheses, prior = len(strength), ladder[0][0].prior
     # With fewer hypotheses than likelihoods, those of larger evidence are used.
     rungs = ladder[-hypotheses:]
@@ -172,13 +204,17 @@ def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, F
 
     def refitted(rung: int, likelihood: Likelihood, first: Fits) -> Fits:
         own = np.arange(rung, hypotheses, len(rungs))
+        weight, assumed = weights[own], None
+        if likelihood is ladder[0][0] and (m := _mean_square(likelihood, first)) < 1.0:
+            weight, assumed = _divided(m, weight, errors.of(own))
         return fit(
             likelihood,
             prior.rescaled(first.z[0], strength[own]),
-            weights=weights[own],
+            weights=weight,
             prior_mean=prior_mean[own],
             strength=strength[own],
             offsets=np.repeat(first.offsets, len(own), axis=0),
+            errors=assumed,
             iterations=15,
             tolerance=3e-3,
             progress=done[rung],
@@ -191,6 +227,17 @@ def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, F
         weight = accuracy_weights(fits.push_cost.sum(axis=1))
         probability[rung :: len(rungs)] = weight * len(weight) / hypotheses
     return prior.maps(z, strength), probability
+
+
+def _divided(m: float, weights: FloatArray, errors: DrawnErrors) -> tuple[FloatArray, DrawnErrors]:
+    """Weights (K, B) and errors that together scatter hypotheses by what the likelihood allows.
+
+    With residuals of mean square m < 1, in its standard deviations, weights of variance m v instead of v give
+    m² of the variance that it allows, and the errors the rest. A push carries its errors into the gradient w
+    times, which multiplies their variance by E(w²) = 1 + m v.
+    """
+    v = 1.0 / _shape(weights.shape[1])
+    return 1.0 + np.sqrt(m) * (weights - 1.0), errors.times(np.sqrt((1.0 - m**2) / (1.0 + m * v)))
 
 
 def accuracy_weights(cost: FloatArray) -> FloatArray:

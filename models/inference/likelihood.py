@@ -88,6 +88,27 @@ class PushCosts(Protocol):
         """Costs and normal equations, see `PushLikelihood.linearise`."""
 
 
+class DrawnErrors(NamedTuple):
+    """Errors of the measurements of B pushes that each of K hypotheses assumes, in standard deviations."""
+
+    poses: FloatArray  # (K, B, n, 3) of (x, y, ρ θ) at the cells' centroid, over n stretches of each push
+    forces: FloatArray  # (K, B, 2) of all forces of a push
+
+    def of(self, hypotheses: NDArray[np.int64]) -> DrawnErrors:
+        """Those of some hypotheses."""
+        return DrawnErrors(self.poses[hypotheses], self.forces[hypotheses])
+
+    def times(self, factor: float) -> DrawnErrors:
+        """The same, larger by a factor."""
+        return DrawnErrors(factor * self.poses, factor * self.forces)
+
+    def of_poses(self, pushes: NDArray[np.int64], rows: int) -> FloatArray:
+        """(K, G, S, 3) errors of pushes (G,) with S poses each; fewer than n have one error each."""
+        count = self.poses.shape[2]
+        stretch = np.arange(rows) * count // max(rows, count)
+        return self.poses[:, pushes][:, :, stretch]
+
+
 class Alike(NamedTuple):
     """Rollouts of G pushes with equally many poses S, and their derivatives by p columns."""
 
@@ -143,6 +164,7 @@ class PushLikelihood(ABC):
         weights: FloatArray,
         *,
         by_push: bool = False,
+        errors: DrawnErrors | None = None,
     ) -> NormalEquations:
         """Costs and normal equations at coordinates z (K, d) and start offsets (K, B, 3).
 
@@ -152,6 +174,7 @@ class PushLikelihood(ABC):
             strength: (K,) see `MapPrior.maps`.
             weights: (K, B) weight of each push in the equations of each hypothesis; 0 leaves it out.
             by_push: whether the gradient of each push is wanted too.
+            errors: to be subtracted from the measurements, where a hypothesis assumes some.
         """
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
@@ -173,7 +196,7 @@ class PushLikelihood(ABC):
         push_gradients = np.empty((B, K, d)) if by_push else None
         for alike in rolled_out:
             own = alike.pushes
-            J, r, own_cost = self._whitened(alike)
+            J, r, own_cost = self._whitened(alike, errors)
             G, p = len(own), J.shape[-1]
             cost[:, own] += own_cost
             transposed = J.swapaxes(-1, -2)
@@ -298,7 +321,9 @@ class PushLikelihood(ABC):
         return alike.forces - stacked(measured, alike.forces.shape[2])
 
     @abstractmethod
-    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _whitened(
+        self, alike: Alike, errors: DrawnErrors | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Jacobians (K, G, R, p) and residuals (K, G, R) of some pushes, in standard deviations and with the
         weights of a robust cost, and that cost (K, G)."""
 
@@ -398,11 +423,15 @@ class Likelihood(PushLikelihood):
                 total += 2.0 * forces * float(np.log(force))
         return total
 
-    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _whitened(
+        self, alike: Alike, errors: DrawnErrors | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         settings, seen = self.settings, [self.observations[b] for b in alike.pushes]
         error, slopes = self._pose_errors(alike)
         K, G, S, _, p = slopes.shape
         sigma = np.stack([self._sigmas[b] for b in alike.pushes])
+        if errors is not None:
+            error = error + sigma[..., None] * errors.of_poses(alike.pushes, S)
         share = np.full((G, 1), min(1.0, settings.independent / S))
         groups = [(error, slopes, sigma, share)]
         T = alike.forces.shape[2]
@@ -411,7 +440,11 @@ class Likelihood(PushLikelihood):
             sigma = self._force_sigmas[alike.pushes][:, None]
             share = np.minimum(1.0, settings.independent_forces / np.maximum(count, 1))
             share = (np.arange(T) < count[:, None]) * share[:, None]
-            groups.append((self._force_errors(alike), alike.d_forces, sigma, share))
+            error = self._force_errors(alike)
+            if errors is not None:
+                finite = np.where(share > 0.0, sigma, 0.0)
+                error = error + finite[..., None] * errors.forces[:, alike.pushes, None]
+            groups.append((error, alike.d_forces, sigma, share))
         jacobians, residuals, costs = [], [], np.zeros((K, G))
         for error, slopes, sigma, share in groups:
             weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)

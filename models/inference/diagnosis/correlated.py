@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import Alike, PushLikelihood
+from slipmap.models.inference.likelihood import Alike, DrawnErrors, PushLikelihood
 from slipmap.models.inference.observations import AVERAGED, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -159,7 +159,11 @@ class CorrelatedLikelihood(PushLikelihood):
                 )
         return [found[b] for b in range(len(self.observations))]
 
-    def _whitened(self, alike: Alike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _whitened(
+        self, alike: Alike, errors: DrawnErrors | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        if errors is not None:
+            raise NotImplementedError("hypotheses assume errors under the forgiving likelihood alone")
         (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
         own = [self.whiteners[b] for b in alike.pushes]
         T = force.shape[2]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slipmap.models.geometry import at_centroid, from_centroid, radius_of_gyration
 from slipmap.models.inference.gauss_newton import fit, of_dataset
-from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.likelihood import DrawnErrors, Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.measurements import DatasetError, Noise
@@ -26,8 +27,12 @@ def likelihood(recorded) -> Likelihood:
     return likelihood_of(recorded.dataset)
 
 
-@pytest.mark.parametrize("outline", [None, 4e-4])
-def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(recorded, outline):
+def drawn_errors(rng: np.random.Generator, K: int, B: int) -> DrawnErrors:
+    return DrawnErrors(rng.standard_normal((K, B, 4, 3)), rng.standard_normal((K, B, 2)))
+
+
+@pytest.mark.parametrize(("outline", "assumed"), [(None, False), (4e-4, False), (None, True)])
+def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(recorded, outline, assumed):
     likelihood = likelihood_of(
         replace(recorded.dataset, noise=replace(recorded.dataset.noise, outline=outline))
     )
@@ -37,16 +42,20 @@ def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(recorded, o
     ones = np.ones(1)
     weights = rng.uniform(0.5, 1.5, (1, B))
     offsets = np.zeros((1, B, 3))
+    errors = drawn_errors(rng, 1, B) if assumed else None
     for _ in range(12):  # bring the eliminated start offsets to their minimum: there the two slopes agree
-        equations = likelihood.linearise(z, offsets, ones, weights)
+        equations = likelihood.linearise(z, offsets, ones, weights, errors=errors)
         gain, slope = equations.start_gain[:, 0], equations.start_gradient[:, 0]
         offsets[0] -= 0.7 * np.einsum("bij,bj->bi", gain, slope)
-    equations = likelihood.linearise(z, offsets, ones, weights)
+    equations = likelihood.linearise(z, offsets, ones, weights, errors=errors)
     size = np.abs(equations.gradient).max()
     for column in [0, 3, 40, d - 3, d - 2, d - 1]:
         e = np.zeros((1, d))
         e[0, column] = 1e-5
-        up, down = (likelihood.linearise(moved, offsets, ones, weights).cost for moved in (z + e, z - e))
+        up, down = (
+            likelihood.linearise(moved, offsets, ones, weights, errors=errors).cost
+            for moved in (z + e, z - e)
+        )
         change = up - down
         assert (weights * change).sum() / 2e-5 == pytest.approx(
             equations.gradient[0, column], abs=2e-3 * size
@@ -70,6 +79,38 @@ def test_an_outline_that_is_off_is_as_if_the_object_started_elsewhere(recorded):
         return cost[0] - 0.5 * ((offsets / likelihood.start_sigma) ** 2).sum(axis=-1)[0]
 
     assert 50.0 * misfit(-off).sum() < misfit(0.0 * off).sum() < 0.5 * misfit(off).sum()
+
+
+def test_errors_that_a_hypothesis_assumes_are_subtracted_from_the_measurements(likelihood):
+    """Pushes of twelve poses, of which three in turn share an error; of a single pose; and without forces."""
+
+    def last(observation, poses):
+        push = replace(observation.push, pose_times=observation.push.pose_times[-poses:])
+        return replace(observation, push=push, poses=observation.poses[-poses:])
+
+    a, b, c = likelihood.observations[:3]
+    seen, grid = [last(a, 12), last(b, 1), last(c, 12).without_forces], likelihood.prior.slider.grid
+    assuming = Likelihood(likelihood.prior, seen, GOOD_SENSORS, likelihood.settings)
+    rng = np.random.default_rng(4)
+    z, offsets, weights = np.zeros((2, likelihood.prior.size)), np.zeros((2, 3, 3)), np.ones((2, 3))
+    errors = drawn_errors(rng, 2, 3)
+    ours = assuming.linearise(z, offsets, np.ones(2), weights, errors=errors)
+    scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
+    for k in range(2):
+        moved = []
+        for b, one in enumerate(seen):
+            sigma, count = assuming._sigmas[b][:, None], len(one.poses)
+            off = sigma * (
+                np.repeat(errors.poses[k, b], 3, axis=0) if count == 12 else errors.poses[k, b, :1]
+            )
+            poses = from_centroid(at_centroid(one.poses, grid) - off / scale, grid)
+            off = assuming._force_sigmas[b] * errors.forces[k, b] if one.sliding.any() else 0.0
+            moved.append(replace(one, poses=poses, forces=one.forces - off))
+        plain = Likelihood(likelihood.prior, moved, GOOD_SENSORS, likelihood.settings)
+        plain._sigmas, plain._force_sigmas = assuming._sigmas, assuming._force_sigmas
+        theirs = plain.linearise(z[:1], offsets[:1], np.ones(1), weights[:1])
+        assert ours.cost[k] == pytest.approx(theirs.cost[0], rel=1e-9)
+        assert ours.gradient[k] == pytest.approx(theirs.gradient[0], rel=1e-6, abs=1e-9)
 
 
 def test_a_push_with_no_weight_does_not_count(likelihood):

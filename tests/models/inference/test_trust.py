@@ -9,9 +9,16 @@ from scipy.stats import multivariate_normal
 
 from slipmap.models import progress
 from slipmap.models.inference.gauss_newton import fit
-from slipmap.models.inference.hypotheses import MODEL_ERRORS, fit_with_trust, log_evidence, trusting
+from slipmap.models.inference.hypotheses import (
+    MODEL_ERRORS,
+    draws,
+    fit_with_trust,
+    log_evidence,
+    refits,
+    trusting,
+)
 from slipmap.models.inference.identification import identify
-from slipmap.models.inference.likelihood import Likelihood, NormalEquations
+from slipmap.models.inference.likelihood import DrawnErrors, Likelihood, NormalEquations
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.physics.rollout import Slider
@@ -112,6 +119,46 @@ def test_pushes_that_follow_the_model_are_trusted_and_pushes_that_do_not_are_not
     ladder = ladder_of(bent(recorded.dataset, 0.1))
     errors = tuple(likelihood.settings.model_error for likelihood, _ in ladder)
     assert errors == MODEL_ERRORS[: len(errors)] and errors[-1] >= 0.04
+
+
+def test_hypotheses_scatter_as_the_posterior_does_where_pushes_agree(recorded):
+    ladder = ladder_of(recorded.dataset)
+    ((likelihood, best),) = ladder
+    prior, centers = likelihood.prior, recorded.dataset.grid.centers
+    drawn = draws(ladder, 40, np.random.default_rng(3), keep_best=True)
+
+    def measured(maps):
+        """Centre of friction and logarithm of the total friction."""
+        load = maps.mass * maps.mu
+        total = load.sum(axis=1, keepdims=True)
+        return np.hstack([load @ centers / total, np.log(total)])
+
+    def scatter(drawn):
+        maps, probability = refits(ladder, drawn, lambda done, total: None)
+        values = measured(maps)
+        return np.sqrt(probability @ (values - probability @ values) ** 2)
+
+    steps = 1e-4 * np.eye(prior.size)
+    up, down = (measured(prior.maps(best.z + sign * steps)) for sign in (1.0, -1.0))
+    slopes = (up - down) / 2e-4
+    covariance = slopes.T @ np.linalg.solve(best.hessian[0] + np.eye(prior.size), slopes)
+    deviation = np.sqrt(np.diag(covariance))
+    without = drawn._replace(errors=DrawnErrors(*(0.0 * part for part in drawn.errors)))
+    assert (scatter(without) < 0.6 * deviation).all()
+    assert (0.75 * deviation < scatter(drawn)).all() and (scatter(drawn) < 1.3 * deviation).all()
+
+
+def test_errors_are_assumed_in_pairs_and_not_where_pushes_disagree(recorded):
+    ladder = ladder_of(bent(recorded.dataset, 0.1))
+    assert len(ladder) > 2
+    drawn = draws(ladder[:2], 7, np.random.default_rng(3), keep_best=True)
+    for part in drawn.errors:
+        assert not part[0].any() and part[2].any()
+        assert np.array_equal(part[3], -part[1]) and not np.array_equal(part[4], -part[2])
+    silent = lambda done, total: None  # noqa: E731
+    with_errors, _ = refits(ladder[:2], drawn, silent)
+    without = drawn._replace(errors=DrawnErrors(*(0.0 * part for part in drawn.errors)))
+    assert np.array_equal(with_errors.mass, refits(ladder[:2], without, silent)[0].mass)
 
 
 def test_the_less_poses_are_trusted_the_less_are_forces(recorded):
