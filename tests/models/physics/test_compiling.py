@@ -6,6 +6,7 @@ import runpy
 
 import numpy as np
 import pytest
+from numba.core.compiler import Flags
 from numba.core.errors import TypingError
 from sliding_objects import FINGER_RADIUS, coast, random_maps, rectangle
 
@@ -89,3 +90,29 @@ def test_a_copy_of_a_file_uses_what_the_first_has_compiled(tmp_path):
     assert run(tmp_path / "second" / "doubling.py") == (2.0, 1)
     (tmp_path / "second" / "doubling.py").write_text(text.replace("2.0", "3.0"))
     assert run(tmp_path / "second" / "doubling.py") == (3.0, 0)
+
+
+def test_a_call_by_name_uses_what_a_call_by_address_has_compiled(tmp_path):
+    path = tmp_path / "doubling.py"
+    path.write_text("def double(values):\n    values[0] *= 2.0\n")
+
+    def double():
+        return compiled(tmp_path / "kernels")(runpy.run_path(str(path))["double"])
+
+    values = np.ones(2)
+    address_of(double(), (values,))
+    by_name = double()
+    by_name(values)
+    assert values[0] == 2.0
+    assert sum(by_name.stats.cache_hits.values()) == 1
+
+
+def test_options_of_compilation_are_equal_where_all_values_are():
+    plain, same, other = Flags(), Flags(), Flags()
+    same.release_gil = same.forceinline = False  # the defaults
+    other.release_gil = True
+    for first in (plain, same, other):
+        for second in (plain, same, other):
+            assert (first == second) == (first.values() == second.values())
+    assert plain == same != other
+    assert {plain: 1}[same] == 1 and other not in {plain: 1} and plain != "plain"
