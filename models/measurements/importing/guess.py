@@ -30,6 +30,7 @@ _MOST_CHANGES = 0.1  # share of rows at which a column that numbers pushes chang
 _MOST_FILES = 3  # files of each kind that are examined
 _UNIT = re.compile(r"[ _.]?[\[(]?(?<=[ _.\[(])(ns|us|ms|s|mm|cm|m|deg|rad|mN|kN|N)[\])]?$")
 _PLANE = re.compile(r"(.*?)(x)([\])]?)$", re.IGNORECASE)
+_AXIS_FIRST = re.compile(rf"()(x)([._]({'|'.join((*_FINGER, *_OBJECT))}).*)$", re.IGNORECASE)
 _PUSH = re.compile(r"(push|trial)([_ ]?(id|no|nr|number|index|\d+))?$", re.IGNORECASE)
 
 
@@ -118,7 +119,7 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
     names = list(source.columns)
     for name in names:
         end = name[len(_bare(name)) :]  # its unit
-        match = _PLANE.match(_bare(name))
+        match = _PLANE.match(_bare(name)) or _AXIS_FIRST.match(_bare(name))
         if match is None or re.search(r"(orient|quat|rot|torque|moment|angular|^q|[._]q)", name, re.I):
             stem = re.fullmatch(r"(.*[._])0", name)
             if stem is None or not {f"{stem[1]}{k}" for k in range(3)} <= set(names):
@@ -151,8 +152,10 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
             return "quaternion", columns
     if first.endswith("_0") and {f"{stem}_{k}" for k in (3, 4, 5)} <= names:
         return "rotation_vector", tuple(f"{stem}_{k}" for k in (3, 4, 5))
+    axis_first = _AXIS_FIRST.match(_bare(first))
     for angle in _ANGLES:
-        for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}"):
+        after = f"{angle}{axis_first[3]}" if axis_first else ""
+        for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}", after):
             if column in bare:
                 return "angle", (bare[column],)
     plain = bare.get(stem.rstrip("._"), "")  # such as block_deg beside block_x_mm

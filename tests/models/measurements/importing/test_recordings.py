@@ -96,6 +96,14 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
 
 
+def test_an_axis_may_stand_before_what_moves(tmp_path):
+    columns = [TIME, POSE[:, :2], POSE[:, 2], TIP, np.zeros((len(TIME), 2))]
+    names = ["t", "x_block", "y_block", "yaw_block", "x_pusher", "y_pusher", "x_rate", "y_rate"]
+    said = yaml.safe_load(guess_setup(written(tmp_path / "p.csv", names, columns)))
+    assert said["object_pose"] == {"position": ["x_block", "y_block"], "angle": "yaw_block", "time": "t"}
+    assert said["tip_pose"]["position"] == ["x_pusher", "y_pusher"]
+
+
 @pytest.mark.parametrize("angle", ["block_deg", "block [deg]"])
 def test_a_column_of_degrees_named_after_the_object_is_its_angle(tmp_path, angle):
     columns = [TIME, 1e3 * POSE[:, :2], np.degrees(POSE[:, 2]), 1e3 * TIP]
