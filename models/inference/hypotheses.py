@@ -10,8 +10,9 @@ open. Neither requires independent errors or a correct model, which recorded pus
 Where pushes agree better than the likelihood's standard deviations say, this is not enough: the prior pulls a
 fit as far as errors of that size would allow, and the hypotheses scatter less. So each also assumes errors of
 the measurements (randomised maximum likelihood: Ba, de Wiljes, Oliver and Reich, arXiv:2101.03612), as large
-as the likelihood allows, less what the residuals show, while the weights vary as much less. Under the
-smallest α only, because larger ones are there for a model that is wrong, and then pushes disagree.
+as the likelihood allows beyond what the residuals show; the weights vary less accordingly. Under the smallest
+α only, because larger ones are there for a model that is wrong, and then pushes disagree. The start's own
+error is not drawn.
 
 The likelihood assumes a model error of a share α of the distance travelled. On an object that matches the
 model, α is half a percent; in another simulator, or on a worn table, it is ten times that, and a fit that
@@ -101,7 +102,7 @@ def explains_exactly(likelihood: Likelihood, found: Fits) -> bool:
 
 
 def _mean_square(likelihood: Likelihood, found: Fits) -> float:
-    """Mean square of the residuals of a fit, in standard deviations of the likelihood."""
+    """About the mean square of the residuals of a fit, in standard deviations of the likelihood."""
     # A pose has three residuals; each costs a half if it is as large as its standard deviation.
     return float(found.push_cost.sum()) / (1.5 * likelihood.rows_counted)
 

@@ -149,6 +149,8 @@ def address_of(function: Any, arguments: tuple[Any, ...]) -> int:
         kinds = tuple(typeof(argument) for argument in arguments)
         function.compile(kinds)
         result = function.overloads[kinds]
+        if result.signature.return_type != types.none:
+            raise TypingError(f"{function.__name__} is called by address, so it must not return anything")
         _addresses[key] = int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
     return _addresses[key]
 

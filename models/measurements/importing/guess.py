@@ -119,7 +119,7 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
     names = list(source.columns)
     for name in names:
         end = name[len(_bare(name)) :]  # its unit
-        match = _PLANE.match(_bare(name)) or _AXIS_FIRST.match(_bare(name))
+        match = _AXIS_FIRST.match(_bare(name)) or _PLANE.match(_bare(name))
         if match is None or re.search(r"(orient|quat|rot|torque|moment|angular|^q|[._]q)", name, re.I):
             stem = re.fullmatch(r"(.*[._])0", name)
             if stem is None or not {f"{stem[1]}{k}" for k in range(3)} <= set(names):
@@ -154,8 +154,8 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         return "rotation_vector", tuple(f"{stem}_{k}" for k in (3, 4, 5))
     axis_first = _AXIS_FIRST.match(_bare(first))
     for angle in _ANGLES:
-        after = f"{angle}{axis_first[3]}" if axis_first else ""
-        for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}", after):
+        after = (f"{angle}{axis_first[3]}",) if axis_first else ()
+        for column in (*after, f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}"):
             if column in bare:
                 return "angle", (bare[column],)
     plain = bare.get(stem.rstrip("._"), "")  # such as block_deg beside block_x_mm

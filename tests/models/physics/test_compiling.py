@@ -107,6 +107,14 @@ def test_a_call_by_name_uses_what_a_call_by_address_has_compiled(tmp_path):
     assert sum(by_name.stats.cache_hits.values()) == 1
 
 
+def test_what_returns_something_cannot_be_called_by_address(tmp_path):
+    path = tmp_path / "first.py"
+    path.write_text("def first(values):\n    return values[0]\n")
+    function = compiled(tmp_path / "kernels")(runpy.run_path(str(path))["first"])
+    with pytest.raises(TypingError, match="must not return"):
+        address_of(function, (np.ones(2),))
+
+
 def test_options_of_compilation_are_equal_where_all_values_are():
     plain, same, other = Flags(), Flags(), Flags()
     same.release_gil = same.forceinline = False  # the defaults

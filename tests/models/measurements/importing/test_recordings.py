@@ -98,10 +98,17 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
 
 def test_an_axis_may_stand_before_what_moves(tmp_path):
     columns = [TIME, POSE[:, :2], POSE[:, 2], TIP, np.zeros((len(TIME), 2))]
-    names = ["t", "x_block", "y_block", "yaw_block", "x_pusher", "y_pusher", "x_rate", "y_rate"]
+    names = ["t", "x_box", "y_box", "yaw_box", "x_pusher", "y_pusher", "x_rate", "y_rate"]
     said = yaml.safe_load(guess_setup(written(tmp_path / "p.csv", names, columns)))
-    assert said["object_pose"] == {"position": ["x_block", "y_block"], "angle": "yaw_block", "time": "t"}
+    assert said["object_pose"] == {"position": ["x_box", "y_box"], "angle": "yaw_box", "time": "t"}
     assert said["tip_pose"]["position"] == ["x_pusher", "y_pusher"]
+
+
+def test_a_column_of_row_numbers_without_a_name_is_no_angle(tmp_path):
+    columns = [np.arange(len(TIME)), TIME, POSE, TIP]
+    names = ["", "t", "block_x", "block_y", "block_yaw", "tip_x", "tip_y"]
+    said = yaml.safe_load(guess_setup(written(tmp_path / "p.csv", names, columns)))
+    assert said["object_pose"]["angle"] == "block_yaw"
 
 
 @pytest.mark.parametrize("angle", ["block_deg", "block [deg]"])
