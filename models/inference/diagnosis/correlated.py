@@ -162,8 +162,7 @@ class CorrelatedLikelihood(PushLikelihood):
     def _whitened(
         self, alike: Alike, errors: DrawnErrors | None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        if errors is not None:
-            raise NotImplementedError("hypotheses assume errors under the forgiving likelihood alone")
+        assert errors is None  # hypotheses assume errors under the forgiving likelihood alone
         (pose, pose_slopes), force = self._pose_errors(alike), self._force_errors(alike)
         own = [self.whiteners[b] for b in alike.pushes]
         T = force.shape[2]
