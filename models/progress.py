@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache, partial
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -39,7 +39,47 @@ def shares_of(progress: StageProgress, parts: int) -> list[StageProgress]:
     return [partial(report, place) for place in range(parts)]
 
 
-_spare: list[threading.Semaphore] = []  # one, of the threads that may still start, from the first use on
+class Cores:
+    """Cores that no thread of `side_by_side` works on."""
+
+    def __init__(self, count: int) -> None:
+        self._lock, self._free = threading.Lock(), count - 1  # this thread works too
+
+    def take(self) -> bool:
+        """Take one for a thread that is about to start, if there is one; whether there was."""
+        with self._lock:
+            if self._free <= 0:
+                return False
+            self._free -= 1
+            return True
+
+    def give_back(self) -> None:
+        """Give one back when a thread ends."""
+        with self._lock:
+            self._free += 1
+
+    @contextmanager
+    def given_back(self) -> Iterator[None]:
+        """Let other threads have this one's while it waits for them."""
+        self.give_back()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._free -= 1
+
+    @property
+    def any_free(self) -> bool:
+        """Whether a thread may start, or use more than one core itself."""
+        return self._free > 0
+
+
+@cache
+def cores() -> Cores:
+    """Those of this program."""
+    from numba import config  # takes long to import, and most commands need no rollouts
+
+    return Cores(config.NUMBA_NUM_THREADS)
 
 
 class Unwanted(BaseException):
@@ -71,10 +111,6 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     Raises:
         Exception: that of the first task that raises one; later tasks may not have run then.
     """
-    from numba import config  # takes long to import, and most commands need no rollouts
-
-    if not _spare:
-        _spare.append(threading.Semaphore(config.NUMBA_NUM_THREADS - 1))
     results: list[Any] = [None] * len(tasks)
     errors: dict[int, BaseException] = {}
     numbers, lock = iter(range(len(tasks))), threading.Lock()
@@ -97,22 +133,23 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         _helping.wanted = lambda: not stopped and outer()
         with suppress(BaseException):  # this thread's caller raises it
             work()
-        _spare[0].release()
+        cores().give_back()
 
     threads: list[threading.Thread] = []
     try:
-        while len(threads) < len(tasks) - 1 and _spare[0].acquire(blocking=False):
+        while len(threads) < len(tasks) - 1 and cores().take():
             # It ends with the program even if that is interrupted.
             threads.append(threading.Thread(target=help_out, daemon=True))
             try:
                 threads[-1].start()
             except RuntimeError:  # no more threads
                 threads.pop()
-                _spare[0].release()
+                cores().give_back()
                 break
         work()
-        for thread in threads:
-            thread.join()
+        with cores().given_back():
+            for thread in threads:
+                thread.join()
     finally:
         stopped = True
     if errors:

@@ -120,7 +120,7 @@ def fit(
             *(np.concatenate([getattr(found, name) for found in fits]) for name in Fits.__annotations__)
         )
     z = start.copy()
-    damping = np.full(K, 1e-2)
+    damping, growth = np.full(K, 1e-2), np.full(K, 2.0)
 
     def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:
         return (weights[who] * push_cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
@@ -146,12 +146,15 @@ def fit(
         promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
         trial = linearised(new_z, new_shift, active)
         new_cost = total(trial.cost, new_z, active)
-        better = new_cost < cost[active]
-        gain = np.where(better, cost[active] - new_cost, 0.0)
+        drop = cost[active] - new_cost
+        better = drop > 0.0
+        gain = np.where(better, drop, 0.0)
         winners = active[better]
         z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]
         _overwrite(equations, winners, trial, better)
-        damping[active] = np.maximum(damping[active] * np.where(better, 0.3, 6.0), 1e-6)
+        eased = _eased(gain, promised)
+        damping[active] = np.maximum(damping[active] * np.where(better, eased, growth[active]), 1e-6)
+        growth[active] = np.where(better, 2.0, 2.0 * growth[active])
         negligible = tolerance * np.maximum(cost[active], 1e-3)
         resting = np.where(better, gain, promised) < negligible
         if worth is not None and done > _UNDECIDED:
@@ -164,6 +167,14 @@ def fit(
         if len(active) == 0:
             break
     return Fits(z, shift, cost, equations.cost, equations.hessian, equations.start_gain.swapaxes(0, 1))
+
+
+def _eased(gain: FloatArray, promised: FloatArray) -> FloatArray:
+    """Factors (K,) on the damping after steps that lowered the cost by `gain`, where the quadratic model
+    promised so much: a third where it was right, more than one where it promised far too much (Nielsen,
+    Damping parameter in Marquardt's method, IMM-REP-1999-05)."""
+    ratio = np.clip(gain / np.maximum(promised, 1e-300), 0.0, 2.0)
+    return np.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
 
 
 def _damped_step(

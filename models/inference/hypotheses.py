@@ -73,18 +73,22 @@ def fit_with_trust(
         starts: (K, d) coordinates to start from.
         progress: called with (done, total); the search often stops before the last α.
         only_exact: stop after the smallest α if that does not explain the pushes exactly.
-        near: fits of the same model to some of the pushes, from which each α starts instead.
+        near: fits of the same model to some of the pushes or with longer steps, from which each α starts
+            instead.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
     """
     found: Ladder = []
     highest, offsets = -np.inf, None
-    for rung, alpha in enumerate(MODEL_ERRORS):
+    # With the same pushes, longer steps hardly change which α is best.
+    same = near is not None and len(near[0][0].observations) == len(observations)
+    for rung, alpha in enumerate(MODEL_ERRORS[: len(near) if near and same else None]):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         own = part_of(progress, rung, len(MODEL_ERRORS))
         if near is not None and rung < len(near):
             starts = near[rung][1].z
+            offsets = near[rung][1].offsets if same else offsets
         best = fit(likelihood, starts, offsets=offsets, worth=np.inf, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:

@@ -137,9 +137,10 @@ def explain(
     *,
     plain_only: bool,
 ) -> list[Explanation]:
-    """Explanations of the pushes with their shares; those of many pushes are chosen on `_COMPARED` of them.
+    """Explanations of the pushes with their shares.
 
-    Hundreds of pushes leave no doubt about laws and structures, so the others need not be fitted to all.
+    They are chosen with long steps, and then fitted with the usual ones. Hundreds of pushes leave no doubt
+    about laws and structures, so these are chosen on `_COMPARED` of them.
 
     Args:
         dataset: the pushes, the object and its height.
@@ -156,14 +157,14 @@ def explain(
     Raises:
         RolloutError: not even the plain law could be fitted, or none of the chosen ones to all pushes.
     """
-    if len(observations) <= 2 * _COMPARED:
-        return _compared(dataset, observations, settings, progress, found, plain_only=plain_only)
-    some = np.sort(np.random.default_rng(0).choice(len(observations), _COMPARED, replace=False))
-    few, first = [observations[b] for b in some], part_of(progress, 0, 3)
+    some = np.arange(len(observations))
+    if len(some) > 2 * _COMPARED:
+        some = np.sort(np.random.default_rng(0).choice(len(observations), _COMPARED, replace=False))
+    few, first = [observations[b].with_long_steps for b in some.tolist()], part_of(progress, 0, 2)
     chosen = _compared(dataset, few, settings, first, found, plain_only=plain_only)
 
     def later(done: int, total: int) -> None:
-        progress(total + 2 * done, 3 * total)
+        progress(total + done, 2 * total)
 
     every: list[Explanation] = []
     for place, one in enumerate(chosen):

@@ -115,6 +115,7 @@ from slipmap.models.physics.terms import (
     table_of,
     terms_at,
 )
+from slipmap.models.progress import cores
 
 INPUTS = 9
 """Number of last columns of a single step's Jacobian, its drive: wrench (5), finger before and after (4)."""
@@ -450,6 +451,13 @@ def _all_jobs(address, order, common, maps, pushes, formulas, table, results):  
         call_compiled(rollout_one, address, arguments)
 
 
+@compiled(nogil=True)
+def _one_by_one(address, order, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
+    for place in range(len(order)):
+        arguments = (order[place], common, maps, pushes, formulas, table, results)
+        call_compiled(rollout_one, address, arguments)
+
+
 def rollout_all(
     common: tuple[Any, ...],
     maps: tuple[Any, ...],
@@ -458,7 +466,10 @@ def rollout_all(
     table: FloatArray | None,
     results: Results,
 ) -> None:
-    """Roll out all models under all pushes, on all threads; `common`, `maps`, `table` as in `rollout_one`."""
+    """Roll out all models under all pushes; `common`, `maps`, `table` as in `rollout_one`.
+
+    They take all cores, or one where tasks side by side work on the others.
+    """
     plain = None if formulas is None else tuple(formulas)
     arguments = (common, maps, tuple(pushes), plain, table, tuple(results))
     # A single job is not worth waking the other threads.
@@ -467,6 +478,9 @@ def rollout_all(
     else:
         order = evenly_dealt(np.diff(pushes.tip_at), len(results.end))
         address = address_of(rollout_one, (0, *arguments))
+        if not cores().any_free:
+            _one_by_one(address, order, *arguments)
+            return
         with _ALL_THREADS:
             _all_jobs(address, order, *arguments)
 

@@ -1,16 +1,18 @@
 """Independent parts of long computations, side by side."""
 
 import threading
+import time
 
 import pytest
 
 from slipmap.models import progress
-from slipmap.models.progress import go_on, shares_of, side_by_side
+from slipmap.models.progress import Cores, go_on, shares_of, side_by_side
 
 
 @pytest.fixture(autouse=True)
-def three_threads(monkeypatch):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr(progress, "_spare", [threading.Semaphore(2)])
+def three_cores(monkeypatch):  # type: ignore[no-untyped-def]
+    own = Cores(3)
+    monkeypatch.setattr(progress, "cores", lambda: own)
 
 
 def test_results_come_in_the_order_of_the_tasks() -> None:
@@ -26,6 +28,39 @@ def test_results_come_in_the_order_of_the_tasks() -> None:
 
     assert side_by_side([first, second]) == ["first", "second"]
     assert side_by_side([]) == []
+
+
+def test_no_core_is_free_while_tasks_work_on_all() -> None:
+    begun, asked = threading.Barrier(3), threading.Barrier(3)
+
+    def work() -> bool:
+        begun.wait(30)
+        free = progress.cores().any_free
+        asked.wait(30)
+        return free
+
+    assert side_by_side([work, work, work]) == [False, False, False]
+    assert progress.cores().any_free
+
+
+def test_a_thread_that_waits_leaves_its_core_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Cores(2)
+    monkeypatch.setattr(progress, "cores", lambda: own)
+    begun = threading.Event()
+
+    def task() -> bool:
+        if threading.current_thread() is threading.main_thread():
+            return begun.wait(30)
+        taken = not own.any_free
+        begun.set()
+        end = time.monotonic() + 30
+        while not own.any_free and time.monotonic() < end:
+            time.sleep(1e-3)
+        return taken and own.any_free
+
+    assert side_by_side([task, task]) == [True, True]
+    assert own.take()
+    assert not own.take()
 
 
 def test_the_first_failing_task_is_told() -> None:

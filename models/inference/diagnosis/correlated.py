@@ -18,7 +18,9 @@ once. Pushes are left out as a whole, since repetition within a push is not evid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -71,6 +73,14 @@ class FitData:
         self.radius = radius_of_gyration(grid)
         self._travel = [travelled(o, grid.centers) for o in self.observations]
         self._kept: dict[tuple[str, SensorNoise, float], list[tuple[FloatArray, float]]] = {}
+
+    @cached_property
+    def with_long_steps(self) -> FitData:
+        """The same pushes with steps twice as long. Whiteners are shared: they do not depend on the steps."""
+        other = copy(self)
+        other.observations = [observation.with_long_steps for observation in self.observations]
+        other.pushes = [observation.counted for observation in other.observations]
+        return other
 
     def whiteners(self, error: ErrorModel) -> list[Whitener]:
         """Whiteners of all pushes; results for an α or a β are cached."""

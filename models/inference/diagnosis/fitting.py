@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 
@@ -77,6 +78,14 @@ class Fitter:
         self.settings = PriorSettings(modes=MODES)
         self.weight: float | None = None
         self.forgiving_start: tuple[FloatArray, FloatArray]
+
+    @property
+    def with_long_steps(self) -> Fitter:
+        """The same with steps twice as long, to choose what is fitted with the usual ones."""
+        hasty = copy(self)
+        hasty.measured = self.measured.with_long_steps
+        hasty.observations = hasty.measured.observations
+        return hasty
 
     def prior(self, effects: Sequence[Effect]) -> MapPrior:
         """Coordinates of the model with some effects."""

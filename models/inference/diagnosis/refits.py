@@ -63,24 +63,26 @@ def refit_candidates(
     """Refit the screened effects, then again under the error model of the best.
 
     All effects are refitted, since the first order misleads where the model had to bend its maps far to do
-    without an effect; if `quick`, a short search selects a few.
+    without an effect, but with long steps; if `quick`, a short search selects a few.
     """
     error = base.likelihood.error
+    hasty = fitter if quick else fitter.with_long_steps
+    alone = base if quick else hasty.base(error, base)
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
     found: dict[str, Fitted] = {}
 
     def tried(i: int, worth: float) -> Fitted | None:
         effect = first.candidates[i]
-        guess = fitter.start_of(effect, effect.start_values(scene)[int(first.start[i])], error, base)
+        guess = hasty.start_of(effect, effect.start_values(scene)[int(first.start[i])], error, alone)
         if quick:
-            return fitter.with_effects((effect,), error, None, guess, afresh=True, iterations=1, forgiving=6)
-        return fitter.with_effects((effect,), error, base, guess, afresh=True, worth=worth)
+            return hasty.with_effects((effect,), error, None, guess, afresh=True, iterations=1, forgiving=6)
+        return hasty.with_effects((effect,), error, alone, guess, afresh=True, worth=worth)
 
     for begin in range(0, len(named), _TOGETHER):
         progress(begin, len(named) + 2)
         own = named[begin : begin + _TOGETHER]
-        least = min((fitted.cost for fitted in found.values()), default=base.cost)
-        tasks = [partial(tried, i, _ceiling(base.cost, least)) for i in own]
+        least = min((fitted.cost for fitted in found.values()), default=alone.cost)
+        tasks = [partial(tried, i, _ceiling(alone.cost, least)) for i in own]
         for i, fitted in zip(own, side_by_side(tasks), strict=True):
             if fitted is not None:
                 found[first.candidates[i].name] = fitted
@@ -94,7 +96,7 @@ def refit_candidates(
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
     error = estimate_errors(best, fitter.noise)
-    ceiling = _ceiling(base.cost, best.cost)
+    ceiling = _ceiling(alone.cost, best.cost)
     close = [
         (name, fitted)
         for name, fitted in found.items()
