@@ -47,6 +47,7 @@ from slipmap.models.inference.diagnosis.screening import Screening, screen
 from slipmap.models.inference.diagnosis.several import named_by_evidence
 from slipmap.models.inference.diagnosis.verdict_rules import (
     AGREEMENT,
+    AT_NOISE,
     CLEARLY_WORSE_GAIN,
     FEWEST_DRAWS,
     FEWEST_PUSHES,
@@ -161,9 +162,7 @@ def diagnose(
                 outcome, learned = found, with_it
                 inquiry.accepted = list(found.effects)
                 break
-    misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
-    if misfit is not None and outcome.verdict == "adequate":
-        outcome = outcomes.far_off(inquiry.base, misfit)
+    outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
     free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)
     outcome = with_other_causes(outcome, dataset, without, after, free_mass)
@@ -219,7 +218,7 @@ class Inquiry:
         self.refits = Refits(self.base, {}, {})
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
-        self.faint = False
+        self.faint = self.only_a_trace = False
         self.first: Screening
         self.p_value: float | None = None
 
@@ -300,8 +299,21 @@ class Inquiry:
         """An effect gains, but too little; if pushes are missed by far, something else is wrong."""
         misfit = far_above_noise(self.misfit())
         if misfit is None:
+            self.only_a_trace = float(self.first.gain.max()) < PROBE_GAIN
             return outcomes.too_faint(self.base)
         return outcomes.far_off(self.base, misfit, self._explains_most(misfit))
+
+    def in_view_of(self, locked: FloatArray | None, outcome: Outcome) -> Outcome:
+        """The answer, corrected by the misfit (L,) of locked pushes without effects, if there are any.
+
+        Missed by far, the model is not adequate. Met to the noise, it is, though a trace of something gains:
+        a hidden effect that was too faint to be named still left 3 times the noise.
+        """
+        misfit = far_above_noise(self.misfit() if locked is None else locked)
+        if misfit is not None and outcome.verdict == "adequate":
+            return outcomes.far_off(self.base, misfit)
+        met = locked is not None and typical_misfit(locked) <= AT_NOISE
+        return self._nothing_found() if met and self.only_a_trace and not outcome.rivals else outcome
 
     def _explains_most(self, misfit: float) -> tuple[str, float] | None:
         """The best effect, and the misfit of the typical push with it, where it more than halves `misfit`.

@@ -50,6 +50,9 @@ _FAR_ABOVE_NOISE = 3.0
 """Misfit of the typical push, in units of sensor noise, above which no model is adequate. The typical
 push is taken so that one that starts near balance does not decide. With nothing hidden it is 1.0 to 1.6."""
 
+AT_NOISE = 1.25
+"""Misfit of the typical locked push up to which a model explains the data, whatever gains a little."""
+
 _LEAST_HELP = 0.1
 """Share by which an answer must lower the misfit of far-off locked pushes. The true effect lowers it by a
 large factor; one that overfits a few open pushes does not."""

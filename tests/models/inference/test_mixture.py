@@ -15,6 +15,7 @@ from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import beside_slope, effect_prior
+from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.mixture import (
@@ -114,6 +115,22 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(recorded, monk
     assert left.share == 1.0 and len(chosen) > 1
     with pytest.raises(RolloutError, match="broken"):
         explain(dataset, fitted, None, progress, plain_only=False)
+
+
+def test_explanations_chosen_with_long_steps_are_fitted_with_the_usual_ones(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    dataset = made_by(recorded, "impulse_friction")
+    fitted = [observation for observation in observe_all(dataset) if observation.role == "fit"]
+    every = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+    for one in every:
+        assert list(one.likelihood.observations) == fitted
+        with_steps = fit(one.likelihood, one.best.z, offsets=one.best.offsets)
+        assert one.best.cost[0] == pytest.approx(with_steps.cost[0], rel=2e-3)
+    monkeypatch.setattr(type(fitted[0]), "with_long_steps", property(lambda self: self))
+    slow = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+    assert [(one.law, one.structure) for one in every] == [(one.law, one.structure) for one in slow]
+    for one, other in zip(every, slow, strict=True):
+        assert one.share == pytest.approx(other.share, abs=0.05)
+        assert one.model_error == other.model_error
 
 
 def test_a_belief_of_several_laws_is_kept(recorded, tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -162,6 +162,23 @@ def pushed_trial(rest: float = 0.0, gap: float = 0.0) -> Trial:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("rest", [0.0, 0.0025, 0.3])
+def test_long_steps_keep_the_finger_and_the_times(rest):
+    fine = observe(pushed_trial(rest))
+    long = fine.with_long_steps
+    time, tip = _track(fine)
+    own, longer = _track(long)
+    assert len(own) - 1 == max(8, len(time) // 2) and own[-1] == pytest.approx(time[-1])
+    np.testing.assert_allclose(longer.T, [np.interp(own, time, column) for column in tip.T], atol=1e-9)
+    np.testing.assert_array_equal(long.push.pose_times, fine.push.pose_times)
+    np.testing.assert_array_equal(long.poses, fine.poses)
+
+
+def _track(observation):
+    push = observation.push
+    return push.h * np.arange(len(push.tip)), push.tip
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.3])
 def test_poses_beside_a_gap_stay_on_the_track(gap):
     observation = observe(pushed_trial(gap=gap))

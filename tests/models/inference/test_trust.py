@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from slipmap.models import progress
-from slipmap.models.inference.gauss_newton import fit
+from slipmap.models.inference.gauss_newton import _eased, fit
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
     draws,
@@ -85,6 +85,41 @@ def test_evidence_is_the_density_of_the_data_where_everything_is_linear():
         exact = multivariate_normal(np.zeros(B * R), covariance).logpdf(measured.ravel())
         ours = log_evidence(cast(Likelihood, linear), best) - 0.5 * B * R * np.log(2.0 * np.pi)
         assert ours == pytest.approx(exact, abs=1e-6)
+
+
+@dataclass
+class BentValley:
+    """One push with a pose z_1 - 10 z_0², and another z_0 / 20 that hardly says how far along z_0 lies."""
+
+    measured: np.ndarray
+    calls: int = 0
+    start_sigma = np.ones((1, 3))
+
+    @property
+    def observations(self):
+        return [None]
+
+    def linearise(self, z, offsets, strength, weights):
+        self.calls += 1
+        first = z[0, 0]
+        tangent = np.array([[[-20.0 * first, 1.0], [0.05, 0.0]]])
+        measured = self.measured - np.array([[10.0 * first**2, 0.0]])
+        linear = LinearPushes(tangent, np.zeros((1, 2, 3)), measured, 1e-3, np.ones(3))
+        return linear.linearise(z, offsets, strength, weights)
+
+
+def test_damping_follows_what_a_step_promised_and_gave():
+    kept = _eased(np.array([1.0, 0.5, 0.1, 1e-6, 3.0]), np.ones(5))
+    np.testing.assert_allclose(kept, [1 / 3, 1.0, 1.512, 2.0, 1 / 3], atol=1e-5)
+
+
+def test_a_bent_valley_is_followed_to_its_end():
+    """With damping that falls by the same factor after every success, this took 242 linearisations."""
+    valley = BentValley(np.array([[0.0, 0.1]]))
+    found = fit(valley, np.array([[-1.0, 10.0]]), iterations=300, tolerance=1e-9)
+    first, second = found.z[0]
+    assert second == pytest.approx(10.0 * first**2, abs=1e-3) and first > 1.6
+    assert valley.calls < 160
 
 
 def test_a_fit_that_nobody_waits_for_ends(monkeypatch):

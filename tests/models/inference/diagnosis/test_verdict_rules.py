@@ -185,7 +185,8 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
         "_nothing_found": lambda: outcomes.nothing_missing(None),
         "fitter": None, "base": base, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
-        "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
+        "accepted": [], "only_a_trace": False, "_ask_every_effect": lambda: first,
+        "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]), "left": {},
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
@@ -212,6 +213,28 @@ def test_a_finding_that_vanishes_and_leaves_nothing_clear_is_adequate(monkeypatc
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
     assert "too faint" in verdict(monkeypatch, 15.0).sentence
     assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
+
+
+@pytest.mark.parametrize(
+    ("gain", "locked", "said"),
+    [(15.0, 1.1, "adequate"), (15.0, 1.4, "undecided"), (40.0, 1.1, "undecided"), (60.0, 1.1, "unknown")],
+)
+def test_a_trace_that_locked_pushes_do_not_show_is_adequate(monkeypatch, gain, locked, said):
+    inquiry = made_inquiry(monkeypatch, gain)
+    assert inquiry.in_view_of(np.full(8, locked), inquiry.run()).verdict == said
+
+
+def test_only_locked_pushes_make_a_trace_adequate(monkeypatch):
+    inquiry = made_inquiry(monkeypatch, 15.0, misfit=1.0)
+    assert inquiry.in_view_of(None, inquiry.run()).verdict == "undecided"
+    named = outcomes.one_of([SimpleNamespace(effects=(LIBRARY[0],))])
+    assert inquiry.in_view_of(np.ones(8), named) is named
+
+
+def test_locked_pushes_missed_by_far_are_not_adequate(monkeypatch):
+    inquiry = made_inquiry(monkeypatch, 15.0)
+    said = inquiry.in_view_of(np.full(8, 15.0), outcomes.nothing_missing(None))
+    assert "not adequate" in said.sentence
 
 
 @pytest.mark.parametrize(("with_it", "most"), [(5.0, True), (30.0, False)])
