@@ -60,7 +60,7 @@ class Cores:
 
     @contextmanager
     def given_back(self) -> Iterator[None]:
-        """Let other threads have this one's while it waits for them."""
+        """Lend this thread's core to others while it waits for them."""
         self.give_back()
         try:
             yield
@@ -100,7 +100,7 @@ def go_on() -> None:
 
 
 def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Results of independent tasks, run on this thread and on others, altogether as many as there are cores.
+    """Results of independent tasks, run on this thread and on others; as many are at work as there are cores.
 
     Rollouts, and most of NumPy, let other threads run meanwhile. The results are those of one task after the
     other, whatever the number of threads.
@@ -114,7 +114,7 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     results: list[Any] = [None] * len(tasks)
     errors: dict[int, BaseException] = {}
     numbers, lock = iter(range(len(tasks))), threading.Lock()
-    stopped, outer = False, getattr(_helping, "wanted", lambda: True)
+    stopped, outer, own = False, getattr(_helping, "wanted", lambda: True), cores()
 
     def work() -> None:
         while not stopped and not errors:
@@ -133,23 +133,24 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         _helping.wanted = lambda: not stopped and outer()
         with suppress(BaseException):  # this thread's caller raises it
             work()
-        cores().give_back()
+        own.give_back()
 
     threads: list[threading.Thread] = []
     try:
-        while len(threads) < len(tasks) - 1 and cores().take():
+        while len(threads) < len(tasks) - 1 and own.take():
             # It ends with the program even if that is interrupted.
             threads.append(threading.Thread(target=help_out, daemon=True))
             try:
                 threads[-1].start()
             except RuntimeError:  # no more threads
                 threads.pop()
-                cores().give_back()
+                own.give_back()
                 break
         work()
-        with cores().given_back():
-            for thread in threads:
-                thread.join()
+        if threads:
+            with own.given_back():
+                for thread in threads:
+                    thread.join()
     finally:
         stopped = True
     if errors:

@@ -24,6 +24,9 @@ from slipmap.models.progress import StageProgress, go_on, part_of
 _EQUATIONS = 2**29
 """Most bytes for the normal equations of hypotheses fitted together; the pushes' starts take most of them."""
 
+_DAMPING = 1e-6, 1e12
+"""Least and largest damping; with the largest, steps are rounded off."""
+
 _UNDECIDED, _OUT_OF_REACH = 3, 30.0
 """A hypothesis is not given up in its first iterations, nor later unless it is behind by more than this
 factor times what an undamped step promises. In the diagnoses of two datasets (effects/public-tilt and
@@ -140,10 +143,14 @@ def fit(
         for k in active:
             step[k] = _damped_step(equations, int(k), z[k] - mean[k], damping[k])
         new_z = z[active] + step[active]
+        slopes = _start_slopes(equations, active, step[active])
         new_shift = _shifted(
-            equations, active, step[active], damping[active], shift[active], likelihood.start_sigma
+            equations, active, slopes, damping[active], shift[active], likelihood.start_sigma
         )
-        promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
+        promised = _promised(
+            equations, active, step[active], slopes, new_shift - shift[active], (z - mean)[active],
+            weights[active],
+        )  # fmt: skip
         trial = linearised(new_z, new_shift, active)
         new_cost = total(trial.cost, new_z, active)
         drop = cost[active] - new_cost
@@ -153,7 +160,7 @@ def fit(
         z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]
         _overwrite(equations, winners, trial, better)
         eased = _eased(gain, promised)
-        damping[active] = np.maximum(damping[active] * np.where(better, eased, growth[active]), 1e-6)
+        damping[active] = np.clip(damping[active] * np.where(better, eased, growth[active]), *_DAMPING)
         growth[active] = np.where(better, 2.0, 2.0 * growth[active])
         negligible = tolerance * np.maximum(cost[active], 1e-3)
         resting = np.where(better, gain, promised) < negligible
@@ -171,7 +178,7 @@ def fit(
 
 def _eased(gain: FloatArray, promised: FloatArray) -> FloatArray:
     """Factors (K,) on the damping after steps that lowered the cost by `gain`, where the quadratic model
-    promised so much: a third where it was right, more than one where it promised far too much (Nielsen,
+    promised `promised`: a third where it was right, up to two where it promised far too much (Nielsen,
     Damping parameter in Marquardt's method, IMM-REP-1999-05)."""
     ratio = np.clip(gain / np.maximum(promised, 1e-300), 0.0, 2.0)
     return np.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
@@ -190,19 +197,24 @@ def _damped_step(
     return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
 
 
+def _start_slopes(equations: NormalEquations, who: np.ndarray, step: FloatArray) -> FloatArray:
+    """(B, K, 3) slopes of the quadratic model along the start offsets, after steps (K, d) of the maps."""
+    every = len(who) == equations.coupling.shape[1]
+    coupling = equations.coupling if every else equations.coupling[:, who]
+    after: FloatArray = equations.start_gradient[:, who] + (step[None, :, None] @ coupling)[:, :, 0]
+    return after
+
+
 def _shifted(
     equations: NormalEquations,
     who: np.ndarray,
-    step: FloatArray,
+    slopes: FloatArray,
     damping: FloatArray,
     shift: FloatArray,
     sigma: FloatArray,
 ) -> FloatArray:
     """Start offsets after a step of the maps, with its damping, kept within four standard deviations."""
-    every = len(who) == equations.coupling.shape[1]
-    coupling = equations.coupling if every else equations.coupling[:, who]
-    slope = equations.start_gradient[:, who] + (step[None, :, None] @ coupling)[:, :, 0]
-    own = (equations.start_gain[:, who] @ slope[..., None])[..., 0].swapaxes(0, 1)
+    own = (equations.start_gain[:, who] @ slopes[..., None])[..., 0].swapaxes(0, 1)
     result = shift - own / (1.0 + damping[:, None, None])
     return np.clip(result, -4.0 * sigma, 4.0 * sigma)
 
@@ -211,15 +223,21 @@ def _promised(
     equations: NormalEquations,
     who: np.ndarray,
     step: FloatArray,
+    slopes: FloatArray,
+    moved: FloatArray,
     from_mean: FloatArray,
     weights: FloatArray,
 ) -> FloatArray:
-    """(K,) drop in cost that the quadratic model predicts for a step of the maps with the best start
-    offsets."""
+    """(K,) drop in cost that the quadratic model predicts for steps (K, d) of the maps and (K, B, 3) of the
+    start offsets; `slopes` along the offsets are those after the step of the maps."""
     curved = np.einsum("kij,kj->ki", equations.hessian[who], step) + step
     maps = -((equations.gradient[who] + from_mean + 0.5 * curved) * step).sum(axis=1)
-    slopes, gains = equations.start_gradient[:, who], equations.start_gain[:, who]
-    return maps + 0.5 * np.einsum("kb,bki,bkij,bkj->k", weights, slopes, gains, slopes)
+    starts, gains = equations.start_gradient[:, who], equations.start_gain[:, who]
+    best = np.einsum("kb,bki,bkij,bkj->k", weights, starts, gains, starts)
+    # What the offsets fall short of their best, being damped and kept within bounds.
+    short = (gains @ slopes[..., None])[..., 0] + moved.swapaxes(0, 1)
+    lost = (short * np.linalg.solve(gains, short[..., None])[..., 0]).sum(axis=-1)
+    return maps + 0.5 * (best - np.einsum("kb,bk->k", weights, lost))
 
 
 def _undamped(
@@ -236,7 +254,9 @@ def _undamped(
         step = np.zeros((len(asked), from_mean.shape[1]))
         for place, k in enumerate(asked):
             step[place] = _damped_step(equations, int(k), from_mean[k], 0.0, np.inf)
-        found[wanted] = _promised(equations, asked, step, from_mean[asked], weights[asked])
+        slopes = _start_slopes(equations, asked, step)
+        moved = -(equations.start_gain[:, asked] @ slopes[..., None])[..., 0].swapaxes(0, 1)
+        found[wanted] = _promised(equations, asked, step, slopes, moved, from_mean[asked], weights[asked])
     return found
 
 

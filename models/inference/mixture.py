@@ -160,8 +160,12 @@ def explain(
     some = np.arange(len(observations))
     if len(some) > 2 * _COMPARED:
         some = np.sort(np.random.default_rng(0).choice(len(observations), _COMPARED, replace=False))
-    few, first = [observations[b].with_long_steps for b in some.tolist()], part_of(progress, 0, 2)
-    chosen = _compared(dataset, few, settings, first, found, plain_only=plain_only)
+    few, first = [observations[b] for b in some.tolist()], part_of(progress, 0, 2)
+    compared = partial(_compared, dataset, plain_only=plain_only)
+    try:
+        chosen = compared([one.with_long_steps for one in few], settings, first, found)
+    except (RolloutError, np.linalg.LinAlgError):  # the usual ones may do
+        chosen = compared(few, settings, first, found)
 
     def later(done: int, total: int) -> None:
         progress(total + done, 2 * total)
@@ -276,7 +280,10 @@ def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
     """Explanations that this number of pushes can support."""
     if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
         return list(every)
-    return [one for one in every if one.structure not in BOLD or (one.law == PLAIN and one.exact)]
+    # Fitted again with the usual steps, the only one that was chosen may not be exact by a hair.
+    return [one for one in every if one.structure not in BOLD or (one.law == PLAIN and one.exact)] or list(
+        every
+    )
 
 
 def bold_compared(every: Sequence[Explanation]) -> bool:

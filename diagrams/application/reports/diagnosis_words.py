@@ -26,7 +26,13 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
-from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH, far_above_noise
+from slipmap.models.inference.diagnosis.verdict_rules import (
+    LEVEL,
+    QUICK_GAIN,
+    ROUGH,
+    SHRUNK,
+    far_above_noise,
+)
 from slipmap.models.inference.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.models.measurements import PushDataset
 
@@ -107,12 +113,23 @@ def evidence(diagnosis: Diagnosis) -> str:
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
         if diagnosis.verdict == "adequate" and diagnosis.p_value <= LEVEL:
-            text += ", but it does not stand when the effect is refitted"
+            gains = [(c.gain, c.fitted_gain or 0.0) for c in diagnosis.candidates if _counts(c)]
+            stands = any(refitted >= SHRUNK * gain for gain, refitted in gains)
+            text += (
+                ", but the locked pushes are predicted to within the noise without any effect"
+                if stands
+                else ", but it does not stand when the effect is refitted"
+            )
     return (
         f"{text}. Gain: natural logarithm (nats) of how much more probable an effect makes left-out pushes;"
         " 10 nats are a factor of 22,000. Refitted: how much more probable it makes the open pushes once"
         " everything is fitted again."
     )
+
+
+def _counts(candidate: CandidateResult) -> bool:
+    """Whether a candidate gains more than chance."""
+    return candidate.p_value is not None and candidate.p_value <= LEVEL
 
 
 def improvement(diagnosis: Diagnosis) -> str:

@@ -81,11 +81,11 @@ class Fitter:
 
     @property
     def with_long_steps(self) -> Fitter:
-        """The same with steps twice as long, to choose what is fitted with the usual ones."""
-        hasty = copy(self)
-        hasty.measured = self.measured.with_long_steps
-        hasty.observations = hasty.measured.observations
-        return hasty
+        """The same with steps twice as long, to choose what is then fitted with the usual ones."""
+        coarse = copy(self)
+        coarse.measured = self.measured.with_long_steps
+        coarse.observations = coarse.measured.observations
+        return coarse
 
     def prior(self, effects: Sequence[Effect]) -> MapPrior:
         """Coordinates of the model with some effects."""

@@ -4,12 +4,13 @@
 2. Every candidate is added to first order, with the maps refitted, and scored on left-out pushes. The
    largest gain is compared with the largest gain by chance. If it is no larger, the model is adequate or the
    data are too few.
-3. Candidates are refitted in full, under the error model of the best. A gain of step 2 that a refit does not
-   find again does not count.
+3. Candidates are refitted in full, first with long time steps, then under the error model of the best. A gain
+   of step 2 that a refit does not find again does not count.
 4. Each remaining candidate is screened again: does anything gain on top of it? The true effect leaves nothing
    to gain; an impostor leaves the true one. The candidates that pass are the answer: one, or a set.
 5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library.
-6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`).
+6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`). If
+   it meets the locked pushes to the noise, it is adequate though something gains a little.
 
 `verdict_rules` holds the thresholds, `outcomes` the verdicts.
 """
@@ -312,8 +313,10 @@ class Inquiry:
         misfit = far_above_noise(self.misfit() if locked is None else locked)
         if misfit is not None and outcome.verdict == "adequate":
             return outcomes.far_off(self.base, misfit)
-        met = locked is not None and typical_misfit(locked) <= AT_NOISE
-        return self._nothing_found() if met and self.only_a_trace and not outcome.rivals else outcome
+        if locked is None or typical_misfit(locked) > AT_NOISE or not self.only_a_trace or outcome.rivals:
+            return outcome
+        self.error = self.base.likelihood.error
+        return self._nothing_found()
 
     def _explains_most(self, misfit: float) -> tuple[str, float] | None:
         """The best effect, and the misfit of the typical push with it, where it more than halves `misfit`.

@@ -20,7 +20,8 @@ from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, part_of, side_by_side
 
 _TOGETHER = 4
-"""Candidates refitted side by side; a search is given up by what the earlier ones reached."""
+"""Candidates in the first group that is refitted side by side; each later group is twice as large. A search
+is given up by what earlier groups reached."""
 
 _QUICK_REFITS = 3
 """Candidates besides the favourite that are refitted in full where chance was not simulated, chosen by a
@@ -62,25 +63,34 @@ def refit_candidates(
 ) -> Refits:
     """Refit the screened effects, then again under the error model of the best.
 
-    All effects are refitted, since the first order misleads where the model had to bend its maps far to do
-    without an effect, but with long steps; if `quick`, a short search selects a few.
+    All effects are refitted, with long steps at first, since the first order misleads where the model had to
+    bend its maps far to do without an effect; if `quick`, a short search selects a few.
     """
     error = base.likelihood.error
-    hasty = fitter if quick else fitter.with_long_steps
-    alone = base if quick else hasty.base(error, base)
+    coarse, alone = fitter, base
+    if not quick:
+        with suppress(RolloutError, np.linalg.LinAlgError):
+            alone = fitter.with_long_steps.base(error, base)
+            coarse = fitter.with_long_steps
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
     found: dict[str, Fitted] = {}
 
     def tried(i: int, worth: float) -> Fitted | None:
         effect = first.candidates[i]
-        guess = hasty.start_of(effect, effect.start_values(scene)[int(first.start[i])], error, alone)
+        values = effect.start_values(scene)[int(first.start[i])]
+        try:
+            guess = coarse.start_of(effect, values, error, alone)
+        except (RolloutError, np.linalg.LinAlgError):
+            return None
         if quick:
-            return hasty.with_effects((effect,), error, None, guess, afresh=True, iterations=1, forgiving=6)
-        return hasty.with_effects((effect,), error, alone, guess, afresh=True, worth=worth)
+            return coarse.with_effects((effect,), error, None, guess, afresh=True, iterations=1, forgiving=6)
+        return coarse.with_effects((effect,), error, alone, guess, afresh=True, worth=worth)
 
-    for begin in range(0, len(named), _TOGETHER):
+    begin = 0
+    while begin < len(named):
         progress(begin, len(named) + 2)
-        own = named[begin : begin + _TOGETHER]
+        own = named[begin : 2 * begin + _TOGETHER]
+        begin += len(own)
         least = min((fitted.cost for fitted in found.values()), default=alone.cost)
         tasks = [partial(tried, i, _ceiling(alone.cost, least)) for i in own]
         for i, fitted in zip(own, side_by_side(tasks), strict=True):

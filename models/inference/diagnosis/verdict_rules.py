@@ -75,7 +75,7 @@ _FAR_WORSE = 0.6
 _FAR_WORSE_GAIN = 10.0
 """The same share and nats beyond which a candidate is not screened for what it leaves."""
 
-_SHRUNK = 0.5
+SHRUNK = 0.5
 """Share of its first-order gain that a real effect at least gains when refitted."""
 
 ROUGH = 0.03
@@ -149,7 +149,7 @@ class Rules:
             if self.beyond_chance(first, float(first.gain[i]))
             and (effect in self.effects or first.gain[i] > PROBE_GAIN)
         ]
-        return all(gains.get(first.candidates[i].name, np.inf) < _SHRUNK * first.gain[i] for i in counted)
+        return all(gains.get(first.candidates[i].name, np.inf) < SHRUNK * first.gain[i] for i in counted)
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
         """What is left to gain on top of a candidate that gains `own_gain` nats when refitted."""
@@ -257,7 +257,7 @@ def with_better_predictors(
 
     def joins(name: str) -> bool:
         near = gains[name] > gains[best] - max(PROBE_GAIN, _NEARLY * gains[best])
-        real = gains[name] >= _SHRUNK * predicted[name]
+        real = gains[name] >= SHRUNK * predicted[name]
         return near and real and predicted[name] > predicted[best]
 
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]

@@ -15,6 +15,7 @@ from report_page import assert_alone
 from slipmap.diagrams.application.figures import gain_figure, locked_figure
 from slipmap.diagrams.application.reports.diagnosis_report import compared, diagnosis_report
 from slipmap.diagrams.application.reports.diagnosis_words import (
+    evidence,
     improvement,
     push_facts,
     show_diagnosis,
@@ -63,6 +64,17 @@ def estimate(name, value, low, high, unit="1", effect="e"):
 def words(effect, *estimates):
     grid = cells_from_polygon(np.array([[0, 0], [6, 0], [6, 4], [0, 4]]) * 0.01, width=0.01)
     return effect_in_words(effect, estimates, grid)
+
+
+@pytest.mark.parametrize(
+    ("refitted", "said"),
+    [(1.0, "does not stand when the effect is refitted"), (9.0, "locked pushes are predicted to within")],
+)
+def test_an_adequate_model_beside_a_gain_beyond_chance_is_explained(tilted, refitted, said):
+    _, diagnosis = tilted
+    candidate = replace(diagnosis.candidates[0], gain=9.0, p_value=0.005, fitted_gain=refitted)
+    left = replace(diagnosis, verdict="adequate", p_value=0.005, candidates=(candidate,))
+    assert said in evidence(left)
 
 
 def test_every_effect_of_the_library_has_words_for_its_size():

@@ -8,7 +8,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from slipmap.models import progress
-from slipmap.models.inference.gauss_newton import _eased, fit
+from slipmap.models.inference.gauss_newton import (
+    _damped_step,
+    _eased,
+    _promised,
+    _shifted,
+    _start_slopes,
+    fit,
+)
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
     draws,
@@ -111,6 +118,26 @@ class BentValley:
 def test_damping_follows_what_a_step_promised_and_gave():
     kept = _eased(np.array([1.0, 0.5, 0.1, 1e-6, 3.0]), np.ones(5))
     np.testing.assert_allclose(kept, [1 / 3, 1.0, 1.512, 2.0, 1 / 3], atol=1e-5)
+
+
+@pytest.mark.parametrize(("damping", "bound"), [(0.0, 100.0), (0.3, 100.0), (50.0, 100.0), (0.3, 0.05)])
+def test_a_step_gives_what_it_promises_where_everything_is_linear(damping, bound):
+    rng = np.random.default_rng(4)
+    by_maps, by_start = rng.standard_normal((3, 8, 4)), rng.standard_normal((3, 8, 3))
+    linear = LinearPushes(by_maps, by_start, rng.standard_normal((3, 8)), 0.4, np.array([0.3, 0.5, 0.2]))
+    z, shift, one = rng.standard_normal((1, 4)), 0.1 * rng.standard_normal((1, 3, 3)), np.ones((1, 3))
+    who, factor = np.arange(1), np.array([damping])
+    equations = linear.linearise(z, shift, np.ones(1), one)
+    step = _damped_step(equations, 0, z[0], damping)[None]
+    slopes = _start_slopes(equations, who, step)
+    moved = _shifted(equations, who, slopes, factor, shift, bound * np.ones((3, 3)))
+    promised = _promised(equations, who, step, slopes, moved - shift, z, one)
+    assert (np.abs(moved) == 4.0 * bound).any() == (bound < 1.0)
+
+    def cost(z, shift):
+        return linear.linearise(z, shift, np.ones(1), one).cost.sum() + 0.5 * (z**2).sum()
+
+    assert promised[0] == pytest.approx(cost(z, shift) - cost(z + step, moved), rel=1e-9)
 
 
 def test_a_bent_valley_is_followed_to_its_end():
