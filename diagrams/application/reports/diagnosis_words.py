@@ -113,8 +113,9 @@ def evidence(diagnosis: Diagnosis) -> str:
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
         if diagnosis.verdict == "adequate" and diagnosis.p_value <= LEVEL:
-            gains = [(c.gain, c.fitted_gain or 0.0) for c in diagnosis.candidates if _counts(c)]
-            stands = any(refitted >= SHRUNK * gain for gain, refitted in gains)
+            counted = [c for c in diagnosis.candidates if c.p_value is not None and c.p_value <= LEVEL]
+            # One that was dropped as far behind the best stands, as in `Rules.vanishes`.
+            stands = any(c.fitted_gain is None or c.fitted_gain >= SHRUNK * c.gain for c in counted)
             text += (
                 ", but the locked pushes are predicted to within the noise without any effect"
                 if stands
@@ -125,11 +126,6 @@ def evidence(diagnosis: Diagnosis) -> str:
         " 10 nats are a factor of 22,000. Refitted: how much more probable it makes the open pushes once"
         " everything is fitted again."
     )
-
-
-def _counts(candidate: CandidateResult) -> bool:
-    """Whether a candidate gains more than chance."""
-    return candidate.p_value is not None and candidate.p_value <= LEVEL
 
 
 def improvement(diagnosis: Diagnosis) -> str:

@@ -307,8 +307,7 @@ class Inquiry:
     def in_view_of(self, locked: FloatArray | None, outcome: Outcome) -> Outcome:
         """The answer, corrected by the misfit (L,) of locked pushes without effects, if there are any.
 
-        Missed by far, the model is not adequate. Met to the noise, it is, though a trace of something gains:
-        a hidden effect that was too faint to be named still left 3 times the noise.
+        Missed by far, the model is not adequate. Met to the noise, it is, though a trace of something gains.
         """
         misfit = far_above_noise(self.misfit() if locked is None else locked)
         if misfit is not None and outcome.verdict == "adequate":

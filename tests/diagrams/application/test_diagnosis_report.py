@@ -68,7 +68,11 @@ def words(effect, *estimates):
 
 @pytest.mark.parametrize(
     ("refitted", "said"),
-    [(1.0, "does not stand when the effect is refitted"), (9.0, "locked pushes are predicted to within")],
+    [
+        (1.0, "does not stand when the effect is refitted"),
+        (9.0, "locked pushes are predicted to within"),
+        (None, "locked pushes are predicted to within"),
+    ],
 )
 def test_an_adequate_model_beside_a_gain_beyond_chance_is_explained(tilted, refitted, said):
     _, diagnosis = tilted
