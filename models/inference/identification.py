@@ -174,7 +174,7 @@ def learn(
         share_of_known = weighed(rivals)[0].share
     learned = mixed_belief(few, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
-    left_out = leave_out(every[0].likelihood, every[0].best)
+    left_out = leave_out(*every[0].drawn_from[-1])
     told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
     belief = spread_out(replace(learned, settings=told), dataset)
     predictions = predict_observations(belief, observations, noise, report)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,7 @@ from slipmap.models.inference.hypotheses import (
     explains_exactly,
     fit_with_trust,
     log_evidence,
+    refined,
     refits,
     trusted,
 )
@@ -81,6 +82,7 @@ class Explanation:
     ladder: Ladder  # of `fit_with_trust`
     log_evidence: float  # of the best fit in it, α's prior included; -inf where a fit failed
     share: float = 1.0  # of the belief
+    fine: Ladder = field(default_factory=list)  # of `refined`, where the smallest α allows more than need be
 
     @property
     def likelihood(self) -> Likelihood:
@@ -101,6 +103,11 @@ class Explanation:
     def exact(self) -> bool:
         """Whether the smallest α is the best, and the misfit no larger than it allows on average."""
         return self.model_error == MODEL_ERRORS[0] and explains_exactly(*self.ladder[0])
+
+    @property
+    def drawn_from(self) -> Ladder:
+        """The fits that hypotheses are drawn around."""
+        return self.fine or self.ladder
 
     @property
     def maps(self) -> Maps:
@@ -139,8 +146,8 @@ def explain(
 ) -> list[Explanation]:
     """Explanations of the pushes with their shares.
 
-    They are chosen with long steps, and then fitted with the usual ones. Hundreds of pushes leave no doubt
-    about laws and structures, so these are chosen on `_COMPARED` of them.
+    They are chosen with long steps, then fitted with the usual ones; exact ones are refined last. Hundreds
+    of pushes leave no doubt about laws and structures, so these are chosen on `_COMPARED` of them.
 
     Args:
         dataset: the pushes, the object and its height.
@@ -180,8 +187,10 @@ def explain(
                 raise
             continue
         every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
+    kept = shared_out(every)
+    kept = [replace(one, fine=refined(one.ladder, dataset.noise)) if one.exact else one for one in kept]
     progress(1, 1)
-    return shared_out(every)
+    return kept
 
 
 def _compared(
@@ -345,8 +354,8 @@ def mixed_belief(
     rng = np.random.default_rng(seed)
     tasks, parts_done = [], shares_of(partial(report, "hypotheses"), len(every))
     for place, (one, size) in enumerate(zip(every, _counts(shares, hypotheses), strict=True)):
-        drawn = draws(one.ladder, size, rng, keep_best=place == 0)
-        tasks.append(partial(_refitted, one.ladder, drawn, parts_done[place]))
+        drawn = draws(one.drawn_from, size, rng, keep_best=place == 0)
+        tasks.append(partial(_refitted, one.drawn_from, drawn, parts_done[place]))
     found = side_by_side(tasks)
     kept = [
         (one, float(share), *learned)
@@ -376,7 +385,7 @@ def mixed_belief(
         seed=seed,
         trials=[observation.trial for observation in likelihood.observations],
         settings={
-            **trusted(every[0].ladder),
+            **trusted(every[0].drawn_from),
             **chosen_on,
             "friction_laws": _by([one.law for one, *_ in kept], [one[1] for one in kept]),
             "structures": _by([one.structure for one, *_ in kept], [one[1] for one in kept]),

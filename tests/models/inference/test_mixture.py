@@ -158,7 +158,7 @@ def test_every_structure_is_tried_with_a_law_that_is_likelier_than_the_plain_one
     found = identify(dataset, hypotheses=4, progress=lambda stage, done, total: told.append(done / total))
     assert (
         next(iter(found.friction_laws)) == "load_transfer"
-        and found.belief.settings["model_errors"][-1] == 0.005
+        and found.belief.settings["model_errors"][-1] <= 0.005
     )
     assert max(told) <= 1.0
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+import slipmap
 from slipmap.models import progress
 from slipmap.models.inference.gauss_newton import (
     _damped_step,
@@ -17,10 +18,13 @@ from slipmap.models.inference.gauss_newton import (
     fit,
 )
 from slipmap.models.inference.hypotheses import (
+    FINE_ERROR,
     MODEL_ERRORS,
     draws,
+    explains_exactly,
     fit_with_trust,
     log_evidence,
+    refined,
     refits,
     trusting,
 )
@@ -181,6 +185,34 @@ def test_pushes_that_follow_the_model_are_trusted_and_pushes_that_do_not_are_not
     ladder = ladder_of(bent(recorded.dataset, 0.1))
     errors = tuple(likelihood.settings.model_error for likelihood, _ in ladder)
     assert errors == MODEL_ERRORS[: len(errors)] and errors[-1] >= 0.04
+
+
+def test_pushes_that_half_a_percent_explains_exactly_are_fitted_with_less_and_predict_better():
+    misses = []
+    for seed in range(4):
+        dataset, truth = slipmap.simulated_hammer(seed=seed, fit=6, heldout=4)
+        coarse = ladder_of(dataset)
+        fine = refined(coarse, dataset.noise)
+        assert [likelihood.settings.model_error for likelihood, _ in fine] == [FINE_ERROR]
+        slider = coarse[0][0].prior.slider
+        pushes = [observation.push for observation in observe_all(dataset, dataset.heldout_trials)]
+        every = [truth, *(likelihood.prior.maps(best.z) for likelihood, best in (*coarse, *fine))]
+        true, *ends = (slider.rollout(maps, pushes).end[0, :, :2] for maps in every)
+        misses.append([np.hypot(*(end - true).T).mean() for end in ends])
+    with_coarse, with_fine = np.sum(misses, axis=0)
+    assert with_fine < 0.85 * with_coarse
+
+
+def test_a_belief_from_pushes_that_follow_the_model_is_drawn_around_the_fine_fit(recorded):
+    belief = identify(recorded.dataset, hypotheses=3, friction_laws=False).belief
+    assert belief.settings["model_errors"] == [FINE_ERROR]
+
+
+def test_pushes_that_go_astray_by_a_few_percent_are_fitted_with_no_less(recorded):
+    dataset = bent(recorded.dataset, 0.03)
+    ladder = ladder_of(dataset)
+    assert len(ladder) == 1 and explains_exactly(*ladder[0])
+    assert refined(ladder, dataset.noise) == []
 
 
 def test_hypotheses_scatter_as_the_posterior_does_where_pushes_agree(recorded):
