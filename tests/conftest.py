@@ -1,5 +1,6 @@
 """Threads of the workers, the order of files, and fixtures shared by all tests."""
 
+import gc
 import os
 import random
 import sys
@@ -18,6 +19,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # Where Python may not keep bytecode, each of some hundred processes would compile the same modules again.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# Nearly all that is imported and collected stays: looking for garbage took a quarter of the collection.
+# `pytest_collection_finish` goes on with it, as rarely as the command does.
+gc.disable()
 
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
 # nothing left to do; by itself, xdist begins files with few tests last. The first two compile most kernels,
@@ -39,7 +44,12 @@ COSTLY = (
 # runs what needs none of them, and first compiles those of pictures; elsewhere both would compile the same.
 COMPILES, COMPILES_QUICK = COSTLY[0], "test_effect_derivatives.py"
 WITHOUT_KERNELS = ("diagrams/perception", "models/perception", "models/measurements", "models/objects")
-WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py", "test_lab_session.py")
+WITH_KERNELS_ALL_THE_SAME = (
+    "test_dataset_check.py",
+    "test_lab_session.py",
+    "test_openings.py",
+    "test_simulated.py",
+)
 
 # What `--quick` leaves out: plants, twins, browsers, notebooks, many processes, and long computations.
 NOT_QUICK_FOLDERS = (
@@ -140,7 +150,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Note which kernels ran while files were imported; all workers would compile them."""
+    """Look for garbage from now on; note which kernels ran at import, as all workers would compile them."""
+    gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
     kernels = vars(sys.modules.get("slipmap.models.physics.kernel", object))
     ran = [name for name, thing in kernels.items() if getattr(thing, "signatures", None)]
     session.config.ran_at_collection = ran
