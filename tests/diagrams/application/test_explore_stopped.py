@@ -19,7 +19,7 @@ from slipmap.diagrams.loops import exploration_run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import ExplorationStopped, LoopEnd, explore
 from slipmap.diagrams.loops.run_folder import ExplorationFolder, resumed
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, read_scenario
 from slipmap.diagrams.systems import identification
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.models.inference.belief import Belief
@@ -29,10 +29,13 @@ from slipmap.models.measurements import read_dataset
 
 pytestmark = pytest.mark.usefixtures("renderer")
 
+# Long steps and small pictures, for speed: these tests ask what is kept, not how well it was learned.
+COARSE = "simulation: {time_step: 0.01}\ncamera: {rate: 5.0, width: 480, height_pixels: 360}\n"
+
 
 def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     cell, out, result = tmp_path / "cell.yaml", tmp_path / "out", tmp_path / "result.json"
-    cell.write_text("simulation: {time_step: 0.005}\ncamera: {rate: 5.0}\n", encoding="utf-8")
+    cell.write_text(COARSE, encoding="utf-8")
     command = [sys.executable, "-m", "slipmap", "explore", "--scenario", cell, "--pushes", "3"]
     command += ["--checks", "0", "--out", out, "--json", result]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
@@ -59,8 +62,8 @@ def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C, or worse, while the simulation waits for what is learned from the second push."""
-    cell, options = Scenario(), LoopOptions(pushes=2, cells=20, hypotheses=4)
-    cell.simulation.time_step, cell.camera.rate = 0.005, 5.0
+    (tmp_path / "cell.yaml").write_text(COARSE, encoding="utf-8")
+    cell, options = read_scenario(tmp_path / "cell.yaml"), LoopOptions(pushes=2, cells=20, hypotheses=4)
     whole = explore(cell, options)
     calls, kept = [], []
 
