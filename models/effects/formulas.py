@@ -206,13 +206,9 @@ import functools
 import math
 
 import numpy
-from numba import cfunc, types
 
-_P = types.CPointer(types.float64)
+from slipmap.models.effects.machine_code import formula
 '''
-
-# Liberties that the compiler may take with sums and quotients to vectorise over cells.
-_FAST = ("arcp", "contract", "nsz", "reassoc")
 
 
 class _Printer(PythonCodePrinter):
@@ -278,13 +274,9 @@ def _straight(printer: Any, targets: Targets) -> list[str]:
 
 def _function(name: str, arguments: str, slots: Slots, lines: Sequence[str]) -> str:
     """Source of a function for the kernels whose first arguments are y and the constants."""
-    kinds = ", ".join(["_P"] * (arguments.count(",") + 1))
-    fast = ", ".join(map(repr, _FAST))
-    # Division by zero gives infinity, which the kernel notices; checks would add branches to the loop.
-    decorator = f'@cfunc(types.void({kinds}), cache=True, error_model="numpy", fastmath={{{fast}}})'
     read = [f"    {symbol} = y[{k}]" for k, symbol in enumerate(slots.y)]
     read += [f"    {name} = c[{k}]" for k, name in enumerate(CONSTANT_NAMES)]
-    return "\n".join(["", "", decorator, f"def {name}({arguments}):", *read, *lines, ""])
+    return "\n".join(["", "", "@formula", f"def {name}({arguments}):", *read, *lines, ""])
 
 
 def module_source(effects: Sequence[Effect]) -> str:

@@ -1,8 +1,8 @@
 """Compiles the formulas of effects to machine code for the values and derivatives that the kernels need.
 
 SymPy differentiates the formulas, `formulas.py` writes them as a small Python module into the cache folder of
-the kernels, and Numba compiles it once. Kernels call the functions by address, so a new effect or combination
-does not recompile them.
+the kernels, and `machine_code.py` compiles it once. Kernels call the functions by address, so a new effect or
+combination does not recompile them.
 """
 
 import hashlib
@@ -138,7 +138,8 @@ def _digest_of_writer() -> Any:
     """Hash of what writes the code for given formulas."""
     here = Path(__file__).parent
     digest = hashlib.sha256(repr(FINGER_SETTLING).encode())
-    for name in ("effect.py", "symbols.py", "program.py", "formulas.py", "backward_loop.py"):
+    writers = ("effect", "symbols", "program", "formulas", "backward_loop", "machine_code")
+    for name in (f"{writer}.py" for writer in writers):
         digest.update((here / name).read_bytes())
     return digest
 
