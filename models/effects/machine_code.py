@@ -184,7 +184,7 @@ class _Translation:
             raise _Unknown(ast.unparse(target))
         if target.value.id not in self._arrays:
             raise _Unknown(ast.unparse(target))
-        return self._builder.gep(self._arrays[target.value.id], [self._whole(target.slice)], inbounds=True)
+        return self._builder.gep(self._arrays[target.value.id], [self._whole(target.slice)])
 
     def _whole(self, expression: ast.expr) -> Any:
         """A whole number: an index, or the end of a range."""
