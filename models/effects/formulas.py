@@ -282,8 +282,7 @@ def _function(name: str, arguments: str, slots: Slots, lines: Sequence[str]) -> 
 def module_source(effects: Sequence[Effect]) -> str:
     """Source of the module for some effects, with the names that `slipmap.models.effects.program` loads.
 
-    Functions that the kernel does not call according to `SIZES` are left out: each takes a tenth of a second
-    to compile.
+    Functions that the kernel does not call according to `SIZES` are left out.
     """
     slots = Slots(effects)
     printer = _Printer({"fully_qualified_modules": True})

@@ -15,6 +15,7 @@ import math
 import pickle
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
 from slipmap.models.files import replaced_file
+
+_TRANSLATOR = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 # Liberties that the compiler may take with sums and quotients to vectorise over cells.
 _FAST = ("arcp", "contract", "nsz", "reassoc")
@@ -61,7 +64,7 @@ def formula(function: Callable[..., None]) -> Formula:
     """
     name, path = function.__name__, Path(function.__code__.co_filename)
     generator = cpu_target.target_context.codegen()
-    made_for = repr((path.parent.name, name, generator.magic_tuple()))
+    made_for = repr((path.parent.name, name, generator.magic_tuple(), _TRANSLATOR))
     key = f"{name}-{hashlib.sha256(made_for.encode()).hexdigest()[:16]}"
     kept = path.parent / f"{key}.bin"
     with global_compiler_lock:
@@ -70,14 +73,14 @@ def formula(function: Callable[..., None]) -> Formula:
         if key not in _loaded:
             library = generator.create_library(key)
             library.enable_object_caching()
-            try:
-                library.add_ir_module(_translated(function, library.create_ir_module(key)))
-            except _Unknown:
+            module = _translated(function, library.create_ir_module(key))
+            if module is None:
                 return _by_numba(function)
+            library.add_ir_module(module)
             library.finalize()
-            with replaced_file(kept) as part:
-                part.write_bytes(pickle.dumps(library.serialize_using_object_code()))
             _loaded[key] = library
+            with suppress(OSError):  # where nothing can be written, the next process compiles it again
+                _write(kept, library.serialize_using_object_code())
         return Formula(_loaded[key].get_pointer_to_function(key), _loaded[key])
 
 
@@ -88,23 +91,32 @@ def _by_numba(function: Callable[..., None]) -> Formula:
     return Formula(code.address, code)
 
 
+def _write(kept: Path, state: Any) -> None:
+    data = pickle.dumps(state)
+    with replaced_file(kept) as part:
+        part.write_bytes(hashlib.sha256(data).digest() + data)
+
+
 def _read(kept: Path) -> Any:
     """What was kept, or None if there is nothing, or nothing whole."""
     try:
-        return pickle.loads(kept.read_bytes())
-    except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+        text = kept.read_bytes()
+    except OSError:
         return None
+    size = hashlib.sha256().digest_size
+    whole = hashlib.sha256(text[size:]).digest() == text[:size]
+    return pickle.loads(text[size:]) if whole else None
 
 
-def _translated(function: Callable[..., None], module: ir.Module) -> ir.Module:
-    """The module, with the function in it under the module's name.
-
-    Raises:
-        _Unknown: it is more than assignments of arithmetic, and loops over these.
-    """
+def _translated(function: Callable[..., None], module: ir.Module) -> ir.Module | None:
+    """The module, with the function in it under the module's name; None if it is more than assignments of
+    arithmetic, and loops over these."""
     (tree,) = ast.parse(inspect.getsource(function)).body
     assert isinstance(tree, ast.FunctionDef)
-    _Translation(module, tree)
+    try:
+        _Translation(module, tree)
+    except (_Unknown, RecursionError, OverflowError):
+        return None
     return module
 
 
@@ -125,6 +137,7 @@ class _Translation:
         self._builder = ir.IRBuilder(made.append_basic_block())
         self._counters: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
+        self._conditions: dict[str, Any] = {}
         nodes = [node for node in ast.walk(function) if isinstance(node, ast.Assign | ast.AugAssign)]
         targets = [node.targets[0] if isinstance(node, ast.Assign) else node.target for node in nodes]
         times = Counter(target.id for target in targets if isinstance(target, ast.Name))
@@ -135,7 +148,13 @@ class _Translation:
     def _statements(self, statements: Sequence[ast.stmt]) -> None:
         for statement in statements:
             if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
-                self._store(statement.targets[0], self._value(statement.value))
+                target = statement.targets[0]
+                if isinstance(statement.value, ast.Compare | ast.BoolOp) and isinstance(target, ast.Name):
+                    if target.id in self._cells:
+                        raise _Unknown(ast.unparse(statement))
+                    self._conditions[target.id] = self._truth(statement.value)
+                else:
+                    self._store(target, self._value(statement.value))
             elif isinstance(statement, ast.AugAssign):
                 target = statement.target
                 before = ast.Name(target.id) if isinstance(target, ast.Name) else target
@@ -168,14 +187,15 @@ class _Translation:
         builder.position_at_end(body)
         i = builder.phi(_WHOLE)
         i.add_incoming(zero, before)
-        outside = dict(self._values)
+        outside, conditions = dict(self._values), dict(self._conditions)
         self._counters[loop.target.id] = i
         self._statements(loop.body)
         following = builder.add(i, one, flags=["nsw"])
         i.add_incoming(following, builder.block)
         builder.cbranch(builder.icmp_signed("<", following, count), body, after)
         builder.position_at_end(after)
-        self._values = outside  # what was assigned within is unknown if there was nothing to loop over
+        # What was assigned within is unknown if there was nothing to loop over.
+        self._values, self._conditions = outside, conditions
         del self._counters[loop.target.id]
 
     def _place(self, target: ast.expr) -> Any:
@@ -209,11 +229,11 @@ class _Translation:
             case ast.Constant(value=int(value) | float(value)):
                 return ir.Constant(_FLOAT, float(value))
             case ast.Name(id=name) if name in self._cells:
-                return self._builder.load(self._cells[name], typ=_FLOAT)
+                return self._builder.load(self._cells[name])
             case ast.Name(id=name) if name in self._values:
                 return self._values[name]
             case ast.Subscript():
-                return self._builder.load(self._place(expression), typ=_FLOAT)
+                return self._builder.load(self._place(expression))
             case ast.Attribute(value=ast.Name(id="math"), attr="pi" | "e" | "inf" | "nan" as name):
                 return ir.Constant(_FLOAT, getattr(math, name))
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -223,10 +243,26 @@ class _Translation:
             case ast.BinOp(left=left, op=op, right=right):
                 return self._operation(op, self._value(left), right)
             case ast.IfExp(test=test, body=body, orelse=otherwise):
-                return self._builder.select(self._truth(test), self._value(body), self._value(otherwise))
+                return self._either(self._truth(test), body, otherwise)
             case ast.Call(keywords=[]):
                 return self._call(expression)
         raise _Unknown(ast.unparse(expression))
+
+    def _either(self, truth: Any, body: ast.expr, otherwise: ast.expr) -> Any:
+        """One of two values; the other is not computed."""
+        builder = self._builder
+        first, second, after = (builder.append_basic_block() for _ in range(3))
+        builder.cbranch(truth, first, second)
+        arms = []
+        for block, arm in ((first, body), (second, otherwise)):
+            builder.position_at_end(block)
+            arms.append((self._value(arm), builder.block))
+            builder.branch(after)
+        builder.position_at_end(after)
+        result = builder.phi(_FLOAT)
+        for value, block in arms:
+            result.add_incoming(value, block)
+        return result
 
     def _operation(self, op: ast.operator, left: Any, right: ast.expr) -> Any:
         name = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}.get(type(op))
@@ -249,10 +285,12 @@ class _Translation:
 
     def _call(self, call: ast.Call) -> Any:
         name, values = ast.unparse(call.func), [self._value(argument) for argument in call.args]
-        if name in ("min", "max") and len(values) == 2:
-            first, second = values
-            sooner = self._builder.fcmp_ordered("<" if name == "min" else ">", second, first)
-            return self._builder.select(sooner, second, first)
+        if name in ("min", "max") and len(values) > 1:
+            result, *others = values
+            for other in others:
+                better = self._builder.fcmp_ordered("<" if name == "min" else ">", other, result)
+                result = self._builder.select(better, other, result)
+            return result
         if name != "abs" and not name.startswith("math."):
             raise _Unknown(ast.unparse(call))
         return self._called("fabs" if name == "abs" else name.removeprefix("math."), values)
@@ -271,6 +309,10 @@ class _Translation:
         match test:
             case ast.Constant(value=bool(value)):
                 return ir.Constant(_TRUTH, int(value))
+            case ast.Name(id=name) if name in self._conditions:
+                return self._conditions[name]
+            case ast.IfExp(test=test, body=body, orelse=otherwise):
+                return self._builder.select(self._truth(test), self._truth(body), self._truth(otherwise))
             case ast.BoolOp(op=op, values=[first, *others]):
                 result = self._truth(first)
                 for other in others:

@@ -37,6 +37,7 @@ from slipmap.models.inference.mixture import (
     mixed_belief,
     on_a_slope,
     weighed,
+    with_fine_fits,
 )
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predict_observations
@@ -172,6 +173,7 @@ def learn(
         free, own = replace(few, known=None), partial(report, "fitting free maps")
         rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
         share_of_known = weighed(rivals)[0].share
+    every = with_fine_fits(every, dataset.noise)
     learned = mixed_belief(few, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     left_out = leave_out(*every[0].drawn_from[-1])

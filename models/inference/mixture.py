@@ -53,7 +53,7 @@ from slipmap.models.inference.prior import (
     slider_for,
     structures_of,
 )
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import Noise, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
 from slipmap.models.progress import Progress, StageProgress, part_of, shares_of, side_by_side
@@ -146,8 +146,8 @@ def explain(
 ) -> list[Explanation]:
     """Explanations of the pushes with their shares.
 
-    They are chosen with long steps, then fitted with the usual ones; exact ones are refined last. Hundreds
-    of pushes leave no doubt about laws and structures, so these are chosen on `_COMPARED` of them.
+    They are chosen with long steps, and then fitted with the usual ones. Hundreds of pushes leave no doubt
+    about laws and structures, so these are chosen on `_COMPARED` of them.
 
     Args:
         dataset: the pushes, the object and its height.
@@ -187,10 +187,15 @@ def explain(
                 raise
             continue
         every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
-    kept = shared_out(every)
-    kept = [replace(one, fine=refined(one.ladder, dataset.noise)) if one.exact else one for one in kept]
     progress(1, 1)
-    return kept
+    return shared_out(every)
+
+
+def with_fine_fits(every: Sequence[Explanation], noise: Noise) -> list[Explanation]:
+    """The explanations, the exact ones with the fits of `refined`."""
+    fine = side_by_side([partial(refined, one.ladder, noise) for one in every if one.exact])
+    found = iter(fine)
+    return [replace(one, fine=next(found)) if one.exact else one for one in every]
 
 
 def _compared(

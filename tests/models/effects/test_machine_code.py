@@ -35,6 +35,23 @@ FUNCTIONS = {
     out[3] = ((y[0]) if (y[1] > 9) else (y[2]) if (True) else (y[3]))
     out[4] = (1.0 if math.nan != y[0] else 0.0)
 """,
+    "what is not a number": """
+    a = math.nan*y[0]
+    out[0] = (1.0 if a < y[0] else 2.0) + (10.0 if not a > y[0] else 20.0) + (100.0 if a == a else 200.0)
+    out[1] = min(y[0], a) + max(y[0], a)
+    out[2] = max(math.inf, y[0])
+    out[3] = max(y[0], y[1], y[2]) + 10*min(y[0], y[1], y[2])
+    out[4] = max(a, y[0])
+""",
+    "conditions with names": """
+    w = y[0] < y[2]
+    v = y[0] < y[1] or y[3] > 0
+    for i in range(int(y[5])):
+        u = z[i] > 0.8 and w
+        out[i] = (math.exp(z[i]) if (u) else (1/(z[i])) if (w) else (0))
+    out[3] = (1.0 if ((v) if (w) else (w)) else 4.0)
+    out[4] = (2.0 if v else 3.0)
+""",
     "loops": """
     n = y[5]
     total = 0.0
@@ -88,7 +105,7 @@ def test_machine_code_does_what_python_does(name: str, tmp_path: Path) -> None:
     expected = np.full(5, 7.0)
     module_of(tmp_path / "python", FUNCTIONS[name], "").f(Y, Z, expected)
     made = module_of(tmp_path / f"{name} {tmp_path.name}", FUNCTIONS[name], "@formula").f
-    assert called(made.address) == pytest.approx(expected, rel=1e-13, abs=1e-15)
+    assert called(made.address) == pytest.approx(expected, rel=1e-13, abs=1e-15, nan_ok=True)
     by_numba = bool(list(tmp_path.glob("*/__pycache__/*.nbc")))
     assert by_numba == (name == "what Numba compiles")
 
@@ -108,6 +125,26 @@ def test_code_is_read_where_it_is_kept_and_made_anew_where_it_is_torn(
     monkeypatch.setattr(machine_code, "_translated", translated)
     assert np.array_equal(called(module_of(folder, FUNCTIONS["loops"], "@formula").f.address), first)
     assert len(kept.read_bytes()) > 100
+
+
+def test_where_nothing_can_be_kept_it_runs_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(machine_code, "_write", full)
+    folder = tmp_path / f"full {tmp_path.name}"
+    assert called(module_of(folder, FUNCTIONS["loops"], "@formula").f.address)[3] == Z[:3].sum()
+    assert not list(folder.glob("*.bin"))
+
+
+def test_code_of_another_translator_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / f"older {tmp_path.name}"
+    module_of(folder, FUNCTIONS["loops"], "@formula")
+    monkeypatch.setattr(machine_code, "_TRANSLATOR", "an older one")
+    module_of(folder, FUNCTIONS["loops"], "@formula")
+    assert len(list(folder.glob("*.bin"))) == 2
 
 
 def test_loops_over_cells_are_vectorised(tmp_path: Path) -> None:
