@@ -157,10 +157,10 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
 
 
 def test_identify_says_where_cells_are_wider_than_the_base(slipmap, tmp_path):
-    """Pushes of a block that rests on a disc of 8 mm radius, learned with cells of 10 mm and of 5 mm."""
+    """Pushes of a block that rests on a disc of 10 mm radius, learned with cells of 10 mm and of 5 mm."""
     outline = [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]
     fine, coarse = (cells_from_polygon(outline, width=width) for width in (0.005, 0.01))
-    rests = np.hypot(*(fine.centers - [0.012, -0.005]).T) < 0.008
+    rests = np.hypot(*(fine.centers - [0.012, -0.005]).T) < 0.01
     maps = Maps(np.full((1, len(fine)), 1.0 / len(fine)), np.where(rests, 3.0, 1e-3)[None], np.array([0.3]))
     rng = np.random.default_rng(0)
     pushes = [candidate.push([0.0, 0.0, 0.0]) for candidate in candidate_pushes(fine, 0.006, rng, 6)]
