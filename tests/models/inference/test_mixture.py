@@ -156,9 +156,8 @@ def test_every_structure_is_tried_with_a_law_that_is_likelier_than_the_plain_one
     dataset = replace(dataset, height=0.024)
     told: list[float] = []
     found = identify(dataset, hypotheses=4, progress=lambda stage, done, total: told.append(done / total))
-    assert next(iter(found.friction_laws)) == "load_transfer" and found.belief.settings["model_errors"] == [
-        FINE_ERROR
-    ]
+    assert next(iter(found.friction_laws)) == "load_transfer"
+    assert found.belief.settings["model_errors"] == [FINE_ERROR]
     assert max(told) <= 1.0
 
 
