@@ -13,7 +13,7 @@ from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Paired
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.settings import check_kind
+from slipmap.models.settings import check_choice, check_kind
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,17 @@ class Identification:
         return f"Identification({self.belief!r}; mean ADD at the end {errors})"
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
-        """Final ADD (m) of the pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
+        """Final ADD (m) of the pushes with a role, (B,), empty where there are none.
+
+        Args:
+            role: `fit`, or `heldout` for the pushes that were held out.
+            of: whose error: `final_add` for the model, `no_motion_add` or `uniform_add`.
+
+        Raises:
+            ValueError: another role or error.
+        """
+        check_choice("errors: role", role, ("fit", "heldout"))
+        check_choice("errors: of", of, ("final_add", "no_motion_add", "uniform_add"))
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])
 
     @property

@@ -26,8 +26,10 @@ _NOISE = {
 
 
 def short_name(trial: str) -> str:
-    """`trials/003.json` as `003`; a long name keeps its end, which distinguishes it from others."""
-    name = trial.rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    """`trials/003.json` as `003`, `day.csv#7` as `day#7`; a long name keeps its end, which tells it from
+    others."""
+    file, sign, push = trial.partition("#")
+    name = file.rsplit("/", 1)[-1].rsplit(".", 1)[0] + sign + push
     return name if len(name) <= 24 else "…" + name[-23:]
 
 

@@ -190,6 +190,19 @@ def test_a_push_that_surprises_stands_in_the_warning(learned):
     assert told["trial"] == last.trial and told["excess"] == pytest.approx(9.0)
 
 
+def test_pushes_of_one_file_keep_the_names_that_tell_them_apart(learned):
+    assert short_name("trials/003.json") == "003" and short_name("day.1.csv") == "day.1"
+    assert short_name("csv/day.csv#7") == "day#7" and short_name("day.csv#slow/2.5") == "day#slow/2.5"
+    *others, one, other = learned[2].pushes
+    named = [
+        replace(push, observation=replace(push.observation, role="heldout", trial=f"day.csv#{number}"))
+        for number, push in ((7, one), (8, other))
+    ]
+    far = [replace(push, end_region=region_left_by(9.0, push.measured[-1])) for push in named]
+    said = warning(replace(learned[2], pushes=(*others, *far)), "day.csv")
+    assert {"day#7", "day#8"} <= set(re.findall(r"day#\d", said))
+
+
 def headline_of(html):
     (large,) = re.findall('<p class="headline">(.*?)</p>', html)
     return large

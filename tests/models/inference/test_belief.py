@@ -150,6 +150,10 @@ def test_a_belief_and_its_dataset_are_shown_in_a_line() -> None:
     assert repr(result.belief) == "Belief(dataset 'hammer': 2 hypotheses about 60 cells)"
     assert repr(result).startswith(f"Identification({result.belief!r}; mean ADD at the end ")
     assert repr(result).endswith("over 1 heldout pushes)")
+    with pytest.raises(ValueError, match="role must be one of fit, heldout, got 'held out'"):
+        result.errors("held out")
+    with pytest.raises(ValueError, match="of must be one of final_add, no_motion_add, uniform_add, got 'a'"):
+        result.errors("fit", "a")
     trial, push = dataset.trials[0], result.pushes[0]
     assert repr(trial).startswith(f"Trial('trials/000.json', fit: {len(trial.object_pose.time)} rows of")
     assert repr(dataset.grid) == "CellGrid(60 cells of 12.5 mm, 8 corners)"
