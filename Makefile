@@ -14,7 +14,7 @@ help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
 
 demo: $(STAMP) ## Long demo: a simulated robot finds its table's tilt and grasps a hammer, see demo/; short: slipmap demo
-	@$(BIN)/slipmap pregrasp --scenario docs/examples/tilted-table.yaml --adapt --seed 2 --out demo --record demo/recording.html
+	@$(BIN)/slipmap pregrasp --scenario docs/examples/tilted-table.yaml --adapt --seed 2 --output demo --record demo/recording.html
 
 test: $(STAMP) ## Run all tests
 	@$(BIN)/python -m pytest -q -n 2 --dist loadfile

@@ -77,7 +77,7 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
         The number of pushes of the earlier run there.
 
     Raises:
-        BadInput: names the folder, and `--out`.
+        BadInput: names the folder, and `--output`.
     """
     pushes = folder / PUSHES
     present = [pushes] if pushes.is_dir() and any(pushes.iterdir()) else []
@@ -96,13 +96,13 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     if not (ended or begun):
         raise BadInput(
             f"{present[0]}: is not from a finished earlier run of `{command}` and would be lost; choose"
-            " another folder with --out, or move it away"
+            " another folder with --output, or move it away"
         )
     count = len(run["pushes"]) if pushes in present else 0
     if count and not _simulated(run):
         raise BadInput(
             f"{folder}: holds an earlier run that may be of a real cell, and pushes recorded: {count}, which"
-            " would be lost; choose another folder with --out, or move it away"
+            " would be lost; choose another folder with --output, or move it away"
         )
     return count
 
@@ -164,7 +164,7 @@ class RunFolder:
     """Keeps the pushes of a run as a dataset in its folder, and the measurements of the push under way.
 
     The latter are not a trial, because it is unknown where the object comes to rest. They stay in
-    `under_way.json` if the run ends in the middle of a push.
+    `under_way.json` if the run ends in the middle of a push, unless `leave_none` is called.
 
     Args:
         kept: number of this run's pushes already in the folder.
@@ -215,6 +215,15 @@ class RunFolder:
             BadInput: like `keep`.
         """
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
+
+    def leave_none(self) -> None:
+        """Remove the measurements of the push under way, for a run that is stopped before any is recorded.
+
+        Raises:
+            BadInput: like `keep`.
+        """
+        with writing(self._folder / UNDER_WAY):
+            (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
     def end(self, complete: bool = True) -> None:
         """Mark the run as ended, successfully or not, so that another may replace it if it was simulated.
@@ -415,7 +424,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     """
     if not ((folder / RUN).is_file() and (folder / PUSHES).is_dir()):
         raise BadInput(
-            f"{folder}: holds no run of `slipmap explore` with pushes; start one with --out {folder}"
+            f"{folder}: holds no run of `slipmap explore` with pushes; start one with --output {folder}"
         )
     run = read_run(folder, FORMAT)
     try:
@@ -461,7 +470,7 @@ def _refuse_cut_off(folder: Path) -> None:
     if not run.get("ended") and run.get("pushes") and (folder / PUSHES).exists():
         raise BadInput(
             f"{folder}: holds an interrupted run with pushes recorded: {len(run['pushes'])}; continue with"
-            f" `slipmap explore --resume {folder}`, or choose another folder with --out"
+            f" `slipmap explore --resume {folder}`, or choose another folder with --output"
         )
 
 

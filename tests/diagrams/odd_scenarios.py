@@ -179,7 +179,7 @@ def ended(folder: Path, name: str) -> str:
     """Explore a scenario, and say in a line how it ended."""
     out, result = folder / name.replace(" ", "_"), folder / f"{name.replace(' ', '_')}.json"
     command = [sys.executable, "-m", "slipmap", "explore", "--scenario", str(written(folder, name))]
-    command += ["--pushes", "1", "--checks", "0", "--out", str(out), "--json", str(result)]
+    command += ["--pushes", "1", "--checks", "0", "--output", str(out), "--json", str(result)]
     begin = time.monotonic()
     try:
         run = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)

@@ -61,7 +61,7 @@ def test_true_maps_lie_over_the_cells_that_were_seen():
 
 
 def test_wrong_use_is_told(tmp_path, capsys):
-    assert run(["pregrasp", "--object", "hamer", "--out", str(tmp_path / "out")]) == 2
+    assert run(["pregrasp", "--object", "hamer", "--output", str(tmp_path / "out")]) == 2
     assert "hammer" in capsys.readouterr().err
-    assert run(["pregrasp", "--method", "best", "--out", str(tmp_path / "out")]) == 2
+    assert run(["pregrasp", "--method", "best", "--output", str(tmp_path / "out")]) == 2
     assert "probabilistic" in capsys.readouterr().err

@@ -208,7 +208,7 @@ def test_a_run_killed_before_its_first_push_is_written_gives_way(whole, tmp_path
             (tmp_path / name).write_bytes(b"")
     killed_at(call, lambda: recorded(tmp_path, whole, 1))
     if call > 1:
-        with pytest.raises(BadInput, match=r"no run .* with pushes; start one with --out"):
+        with pytest.raises(BadInput, match=r"no run .* with pushes; start one with --output"):
             resumed(tmp_path)
     recorded(tmp_path, whole, 2)
     assert len(resumed(tmp_path)[2].trials) == 2
@@ -306,7 +306,7 @@ def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
     ("arguments", "words"),
     [
         (["--pushes", 3], ["--resume keeps the options of the run; leave out --pushes"]),
-        (["--out", "elsewhere"], ["leave out --out"]),
+        (["--output", "elsewhere"], ["leave out --output"]),
         (["--hardware"], ["made in simulation; leave out --hardware"]),
     ],
 )
@@ -330,7 +330,7 @@ def test_a_complete_run_has_nothing_left_to_do(slipmap, whole, tmp_path):
     told = slipmap("explore", "--resume", tmp_path)
     assert (told.code, told.out) == (0, "") and contents(tmp_path) == before
     assert f"{tmp_path}: this run is complete, nothing is left to do" in told.err
-    assert f"`slipmap explore --after {tmp_path} --out FOLDER` makes more pushes" in told.err
+    assert f"`slipmap explore --after {tmp_path} --output FOLDER` makes more pushes" in told.err
 
 
 def test_a_run_in_a_real_cell_is_not_gone_on_with_in_simulation(slipmap, whole, tmp_path):
@@ -341,7 +341,7 @@ def test_a_run_in_a_real_cell_is_not_gone_on_with_in_simulation(slipmap, whole, 
 
 def test_a_run_that_was_cut_off_is_told_by_the_command(slipmap, whole, tmp_path):
     recorded(tmp_path, whole, 2)
-    told = slipmap("explore", "--out", tmp_path)
+    told = slipmap("explore", "--output", tmp_path)
     assert told.code == 2 and f"slipmap explore --resume {tmp_path}" in " ".join(told.err.split())
 
 
@@ -369,18 +369,18 @@ def test_pushes_that_no_earlier_run_left_are_not_replaced(slipmap, whole, tmp_pa
     if mark is not None:
         (tmp_path / RUN).write_text(json.dumps(marks[mark]) if mark in marks else mark)
     before = contents(tmp_path)
-    told = slipmap(command, "--out", tmp_path, "--pushes", 1)
+    told = slipmap(command, "--output", tmp_path, "--pushes", 1)
     assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
     assert f"{tmp_path / PUSHES}: is not from a finished earlier run of `slipmap {command}`" in told.err
-    assert "choose another folder with --out" in told.err
+    assert "choose another folder with --output" in told.err
     assert contents(tmp_path) == before
 
 
 def test_a_scenario_of_ones_own_is_not_replaced(slipmap, tmp_path):
     cell = tmp_path / SCENARIO
     cell.write_text("camera: {rate: 5}")
-    told = slipmap("explore", "--scenario", cell, "--out", tmp_path)
-    assert told.code == 2 and str(cell) in told.err and "--out" in told.err
+    told = slipmap("explore", "--scenario", cell, "--output", tmp_path)
+    assert told.code == 2 and str(cell) in told.err and "--output" in told.err
     assert cell.read_text() == "camera: {rate: 5}"
 
 
@@ -408,10 +408,10 @@ def test_a_run_of_a_real_cell_is_not_replaced(slipmap, whole, tmp_path, command,
         record.keep(part(whole, 2))
     record.end()
     before = contents(tmp_path)
-    told = slipmap(command, "--out", tmp_path, "--pushes", 1, *(["--hardware"] if hardware else []))
+    told = slipmap(command, "--output", tmp_path, "--pushes", 1, *(["--hardware"] if hardware else []))
     assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
     assert f"{tmp_path}: holds an earlier run that may be of a real cell, and pushes recorded: 2" in told.err
-    assert "choose another folder with --out" in told.err
+    assert "choose another folder with --output" in told.err
     assert contents(tmp_path) == before
 
 
@@ -422,16 +422,29 @@ def test_a_simulated_run_is_replaced_and_the_command_says_so(slipmap, whole, tmp
 
     monkeypatch.setattr(exploration_run, "explore", stop)
     monkeypatch.setattr(pregrasp_loop, "pregrasp", stop)
-    first = slipmap(command, "--out", tmp_path)
+    first = slipmap(command, "--output", tmp_path)
     assert first.code == 1 and "replaces" not in first.err
     if command == "explore":
         recorded(tmp_path, whole, 2).end()
     else:
         PregraspFolder(tmp_path, scenario(), repeatable=True).keep(part(whole, 2))
-    told = slipmap(command, "--out", tmp_path)
+    told = slipmap(command, "--output", tmp_path)
     assert told.code == 1 and "it stops here" in told.err
-    said = f"this run replaces the earlier one in {tmp_path} (2 pushes); --out chooses another folder"
+    said = f"this run replaces the earlier one in {tmp_path} (2 pushes); --output chooses another folder"
     assert said in told.err.splitlines()
+
+
+@pytest.mark.parametrize("command", ["explore", "pregrasp"])
+def test_ctrl_c_before_the_first_push_is_recorded_leaves_nothing(slipmap, tmp_path, monkeypatch, command):
+    def stop(*_, record, **__):
+        record.note(0, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})
+        raise exploration_run.ExplorationStopped("stopped after 0 of 3 pushes")
+
+    monkeypatch.setattr(exploration_run, "explore", stop)
+    monkeypatch.setattr(pregrasp_loop, "pregrasp", stop)
+    told = slipmap(command, "--output", tmp_path / "run")
+    assert "nothing half-written is left behind" in told.err
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_pregrasp_in_a_real_cell_that_was_cut_off_does_not_give_way(whole, tmp_path):
@@ -463,7 +476,7 @@ def test_a_pregrasp_killed_before_its_first_push_is_written_gives_way(whole, tmp
     assert len(read_dataset(tmp_path / PUSHES).trials) == 2
 
 
-@pytest.mark.parametrize("command", [("demo", "-o"), ("replay", "nothing.lcmlog", "--out")])
+@pytest.mark.parametrize("command", [("demo", "-o"), ("replay", "nothing.lcmlog", "--output")])
 def test_pushes_of_the_robot_are_lost_to_no_other_command(slipmap, whole, tmp_path, command):
     recorded(tmp_path, whole, 2).end()
     before = contents(tmp_path)

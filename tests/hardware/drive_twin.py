@@ -36,7 +36,7 @@ def main() -> int:
         twin = subprocess.Popen([*slipmap, "station", *cell])
         try:
             time.sleep(5.0)
-            once = ["--pushes", "1", "--checks", "0", "--out", f"{folder}/exploration"]
+            once = ["--pushes", "1", "--checks", "0", "--output", f"{folder}/exploration"]
             explore = [*slipmap, "explore", "--hardware", *cell, *once, *sys.argv[1:]]
             return subprocess.run(explore, check=False).returncode
         finally:

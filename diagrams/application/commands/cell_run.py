@@ -58,9 +58,9 @@ lcm_option = click.option(
 
 
 def folder_option(default: str, more: str = "") -> Option:
-    """The option `--out DIR` for the results of a run; `more` is added to its help."""
+    """The option `--output DIR` for the results of a run; `more` is added to its help."""
     about = f"Folder for pushes, belief, pictures and report.{more}"
-    return path_option("-o", "--out", "folder", default=default, metavar="DIR", about=about)
+    return path_option("-o", "--output", "folder", default=default, metavar="DIR", about=about)
 
 
 class CellRun(NamedTuple):
@@ -144,7 +144,7 @@ def _meshcat(show: bool) -> Meshcat:
 
 
 def cell_options(folder: str) -> Option:
-    """The options of a `CellRun`, passed to the command as `cell`; `folder` is the default of --out."""
+    """The options of a `CellRun`, passed to the command as `cell`; `folder` is the default of --output."""
     options: list[Option] = [
         click.option(
             "--hardware", is_flag=True,
@@ -257,14 +257,14 @@ def leave(
 def go_on_exploring(cell: CellRun) -> str:
     """The command that makes more pushes after those in a folder."""
     again = " --hardware" if cell.hardware else ""
-    return f"`slipmap explore --after {typed([cell.folder])} --out FOLDER{again}`"
+    return f"`slipmap explore --after {typed(cell.folder)} --output FOLDER{again}`"
 
 
 def tell_replaced(record: RunFolder, folder: Path) -> None:
     """Print that an earlier run in the folder gives way, if there is one."""
     if record.replaces:
         pushes = f"{record.replaces} push{'es' * (record.replaces > 1)}"
-        note(f"this run replaces the earlier one in {folder} ({pushes}); --out chooses another folder")
+        note(f"this run replaces the earlier one in {folder} ({pushes}); --output chooses another folder")
 
 
 def show_files(written: Mapping[str, Path]) -> None:

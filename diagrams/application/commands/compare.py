@@ -69,7 +69,7 @@ def predict(
             f"dataset {measured.name}: {_pushes(len(pushes))}; belief learned from dataset {belief.dataset}\n"
         )
     )
-    show_errors(pushes, measured, options.typed([dataset]))
+    show_errors(pushes, measured, options.datasets_typed())
     for path in drawn:
         note(f"picture: {path}")
 
@@ -149,13 +149,13 @@ def compare(
         from slipmap.diagrams.application.reports.comparison_report import comparison_report
 
         with progress.step("drawing"):
-            text = comparison_report(results, measured, options.typed([dataset]))
+            text = comparison_report(results, measured, options.datasets_typed())
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
     with together():
         write_text(wanted.output, text)
         write_json(wanted.json_file, both)
-    show(results, options.typed([dataset]))
+    show(results, options.datasets_typed())
     note(f"report: {wanted.output}")
 
 
@@ -266,7 +266,7 @@ def diagnose(
         return
     options.refuse_apart(wanted.apart)
     (dataset,) = datasets
-    where = options.typed([dataset])
+    where = options.datasets_typed()
     with Progress() as progress:
         measured = options.load_dataset(dataset, wanted.object_name, progress, wanted.maps)
         prepare_kernels()
@@ -294,7 +294,7 @@ def diagnose(
 def _diagnose_together(
     datasets: Sequence[Path], effects: Sequence[Effect], draws: int, wanted: _Report
 ) -> None:
-    where = options.typed(datasets, wanted.apart)
+    where = options.datasets_typed()
     with Progress() as progress:
         measured = options.load_together(datasets, wanted.object_name, progress, one_only=["--quick"])
         prepare_kernels()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     about="Page with the findings and a picture of the pushes, for any browser.",
 )  # fmt: skip
 @options.object_option
+@options.maps_option
 @options.json_option
 @click.pass_context
 def check(
@@ -34,6 +35,7 @@ def check(
     dataset: Path,
     output: Path | None,
     object_name: str | None,
+    maps: Path | None,
     json_file: Path | None,
 ) -> None:
     """Check recorded pushes for faults, and what they can reveal.
@@ -48,6 +50,7 @@ def check(
         measured = read_dataset(
             dataset,
             object_name=object_name,
+            maps=maps,
             progress=lambda done, total: progress("reading pushes", done, total),
             tell=lambda warning: None,
         )
@@ -57,7 +60,7 @@ def check(
             if output is not None:
                 write_text(output, _page(found, measured))
             write_json(json_file, found.to_json())
-    _show(found, dataset, shlex.join([str(dataset), *(("--object", object_name) if object_name else ())]))
+    _show(found, dataset, options.datasets_typed())
     if output is not None:
         note(f"page: {output}")
     if found.wrong:

@@ -58,13 +58,13 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         with together():
             drawn = keep(result, dataset, belief, None, progress, truth)
             write_json(json_file, {**result.to_json(), "truth": comparison})
-    show(result, dataset, options.typed([place]))
+    show(result, dataset, options.typed(place))
     _show_comparison(result, comparison)
     note(f"pushes: {place}")
     tell_files(belief, drawn)
     note(
         f"Next: look at the pictures, or learn from fewer pushes with"
-        f" `slipmap identify {options.typed([place])} -o {options.typed([folder / 'fewer.npz'])}"
+        f" `slipmap identify {options.typed(place)} -o {options.typed(folder / 'fewer.npz')}"
         " --fit-pushes 2`."
     )
 
@@ -114,7 +114,7 @@ def example(folder: Path) -> None:
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.reading import DESCRIPTION_FILE
 
-    following = f"`slipmap identify {options.typed([folder])} -o belief.npz`"
+    following = f"`slipmap identify {options.typed(folder)} -o belief.npz`"
     if (folder / DESCRIPTION_FILE).exists():
         raise BadInput(f"{folder}: holds pushes already; continue with {following}, or name another folder")
     check_folder(folder.absolute().parent, folder)

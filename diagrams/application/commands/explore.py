@@ -21,6 +21,7 @@ from slipmap.planners.settings import METHODS, STRATEGIES
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
     from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
+    from slipmap.diagrams.loops.run_folder import RunFolder
     from slipmap.diagrams.systems.model_monitor import Watch
 
 
@@ -87,7 +88,7 @@ def explore(
     before = None
     if resume is not None:
         settled = (
-            "object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed", "adapt"
+            "object", "scenario", "output", "effect", "after", "pushes", "checks", "strategy", "seed", "adapt"
         )  # fmt: skip
         _refuse_beside(context, "--resume keeps the options of the run", *settled)
         cell = cell._replace(folder=resume)
@@ -102,12 +103,12 @@ def explore(
             _refuse_beside(context, "--after uses the cell of the earlier run", "object", "scenario")
             if after.resolve() == cell.folder.resolve():
                 raise BadInput(
-                    f"--after {after}: this run would write there too; name another folder with --out"
+                    f"--after {after}: this run would write there too; name another folder with --output"
                 )
             scenario, _, recorded = resumed(after)
             if not pushes + checks:
                 raise BadInput(
-                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {options.typed([after / PUSHES])}`"
+                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {options.typed(after / PUSHES)}`"
                     " learns from the recorded ones"
                 )
             before = recorded.all_to_learn_from()
@@ -146,7 +147,7 @@ def explore(
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
             if error.run is None:
-                raise (click.Abort() if stopped else click.ClickException(str(error))) from error
+                raise _ended(error, record, stopped) from error
             run, failure = error.run, f"{error}."
         with record.going_on(len(run.dataset.trials)), together():
             written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
@@ -165,13 +166,21 @@ def explore(
     note(f"Next: {_next_step(cell, wrong=surprised or run.watch.alarm)}.")
 
 
+def _ended(error: Exception, record: RunFolder, stopped: bool) -> click.Abort | click.ClickException:
+    """What ends a command whose run recorded nothing; Ctrl-C leaves no file."""
+    if not stopped:
+        return click.ClickException(str(error))
+    record.leave_none()
+    return click.Abort()
+
+
 def _next_step(cell: cell_run.CellRun, *, wrong: bool) -> str:
     """What to do after an exploration; `wrong` is whether pushes surprised the model beyond chance."""
     go_on = cell_run.go_on_exploring(cell)
     if wrong:
-        pushes = options.typed([cell.folder / "pushes"])
+        pushes = options.typed(cell.folder / "pushes")
         return f"`slipmap diagnose {pushes}`; {go_on} with `--effect` continues with the effect that it names"
-    belief = options.typed([cell.folder / "belief.npz"])
+    belief = options.typed(cell.folder / "belief.npz")
     return (
         f"open {cell.folder / 'report.html'}; predict other pushes of the object with `slipmap predict"
         f" DATASET --belief {belief}`; {go_on} makes more pushes"
@@ -240,8 +249,7 @@ def pregrasp(
                 record.end()
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run})
     except ExplorationFailed as error:
-        stopped = isinstance(error, ExplorationStopped)
-        raise (click.Abort() if stopped else click.ClickException(str(error))) from error
+        raise _ended(error, record, isinstance(error, ExplorationStopped)) from error
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder, run.explorations)
@@ -308,7 +316,7 @@ def _show_surprises(run: ExplorationRun, folder: Path, explored: int | None = No
     from slipmap.diagrams.application.reports.diagnosis_words import repair_story
     from slipmap.diagrams.application.reports.tables import show_surprises
 
-    where = options.typed([folder / "pushes"])
+    where = options.typed(folder / "pushes")
     beyond_chance = show_surprises(run.identification.pushes, where, "the final belief's")
     for sentence in [] if run.repair is None else repair_story(run.repair, run.watch, explored):
         paragraph(sentence)

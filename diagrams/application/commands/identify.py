@@ -83,7 +83,7 @@ def identify(dataset: Path, method: str, plain: bool, fit_pushes: int | None, wa
         return identification.identify(measured, method=method, friction_laws=not plain, **common)
 
     _, measured, drawn = _learned(dataset, wanted, learn, fit_pushes)
-    _tell_findings(measured, dataset)
+    _tell_findings(measured)
     tell_files(wanted.output, drawn)
 
 
@@ -103,16 +103,16 @@ def _learned(
         with together():
             drawn = keep(result, measured, wanted.output, wanted.pictures, progress)
             write_json(wanted.json_file, result.to_json())
-    show(result, measured, options.typed([dataset]))
+    show(result, measured, options.datasets_typed())
     return result, measured, drawn
 
 
-def _tell_findings(dataset: PushDataset, where: Path) -> None:
+def _tell_findings(dataset: PushDataset) -> None:
     """Print the findings of `slipmap check` in two lines."""
     from slipmap.models.measurements.dataset_check import check_dataset
 
     found = check_dataset(dataset)
-    more = f"; `slipmap check {options.typed([where])}` says more"
+    more = f"; `slipmap check {options.datasets_typed()}` says more"
     sound = not any(finding.advice for finding in found.findings)
     note("check: recording is sound" if sound else f"check: {found.headline.rstrip('.')}{more}")
     note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes to add")

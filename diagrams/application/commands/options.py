@@ -149,7 +149,7 @@ datasets_argument = click.argument(
 )
 json_option = output_option("--json", "json_file", about="Write the result as JSON.")
 json_in_folder_option = path_option(
-    "--json", "json_file", about="Write the result as JSON; the file may lie in the folder of --out."
+    "--json", "json_file", about="Write the result as JSON; the file may lie in the folder of --output."
 )
 """For commands that make a folder first and check the file afterwards."""
 seed_option = count_option(
@@ -274,9 +274,29 @@ def refuse_apart(apart: Sequence[str]) -> None:
         raise BadInput("--apart says what several datasets do not share; give two or more")
 
 
-def typed(paths: Sequence[Path], apart: Sequence[str] = ()) -> str:
-    """Datasets, and what they do not share, as a command takes them."""
-    return shlex.join([*map(str, paths), *(word for owner in apart for word in ("--apart", owner))])
+def typed(*paths: Path) -> str:
+    """Paths as a command takes them."""
+    return shlex.join(map(str, paths))
+
+
+def datasets_typed() -> str:
+    """The datasets of the running command, with the options that say how to read and explain them, as other
+    commands take them."""
+    given = click.get_current_context().params
+    words = [str(path) for name in ("dataset", "datasets") for path in _listed(given.get(name))]
+    for option, name in _OF_DATASETS.items():
+        words += [word for value in _listed(given.get(name)) for word in (option, str(value))]
+    return shlex.join(words)
+
+
+_OF_DATASETS = {
+    "--object": "object_name", "--maps": "maps", "--apart": "apart", "--effect-file": "effect_files",
+}  # fmt: skip
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    """The values of a parameter that may be given once, several times or not at all."""
+    return value if isinstance(value, tuple) else () if value is None else (value,)
 
 
 # Parameters that name outputs although their type does not say so.
@@ -336,5 +356,4 @@ def _is_part(path: Path, source: Path) -> bool:
 
 
 def _paths(value: Any) -> Iterator[Path]:
-    values = value if isinstance(value, tuple) else (value,)
-    return (entry for entry in values if isinstance(entry, Path))
+    return (entry for entry in _listed(value) if isinstance(entry, Path))

@@ -111,7 +111,7 @@ def replay(
     scenario = cell_run.scenario_of(scenario_file, None)
     make_folder(folder)
     lock_folder(folder)
-    refuse_robots_pushes(folder, "--out")
+    refuse_robots_pushes(folder, "--output")
     if json_file is not None:
         check_output(json_file)
     listener = PushListener(scenario, log.stem)
@@ -127,7 +127,7 @@ def replay(
     with together():
         with Progress() as progress:
             written = cell_run.leave(identification, dataset, folder, progress)
-        show(identification, dataset, options.typed([folder / "pushes"]))
+        show(identification, dataset, options.typed(folder / "pushes"))
         lag = _shown_lag(dataset)
         write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)

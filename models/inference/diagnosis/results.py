@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -128,17 +130,23 @@ class Diagnosis(Outcome):
         return tuple(p for name in self.effects for p in found.get(name, ()))
 
     def next_step(self, where: str = "DATASET") -> str:
-        """What to do next, with the command to type; `where` names the dataset in that command."""
+        """What to do next, with the command to type.
+
+        Args:
+            where: the dataset in that command, and options that say how to read and explain it.
+        """
         again = f"`slipmap diagnose {where}`"
         if self.fault is not None:
-            return f"correct the records, check them with `slipmap check {where}`, then run {again} again."
+            check = f"`slipmap check {_plain(where)}`"
+            return f"correct the records, check them with {check}, then run {again} again."
         return _after(self.corrections(where), again, self._step(where, again))
 
     def corrections(self, where: str = "DATASET") -> list[str]:
         """What to correct or rule out before the answer is trusted, each an imperative clause."""
         if not self.doubts:
             return list(self.first)
-        return [*self.first, f"correct what `slipmap check {where}` finds wrong ({', '.join(self.doubts)})"]
+        found = ", ".join(self.doubts)
+        return [*self.first, f"correct what `slipmap check {_plain(where)}` finds wrong ({found})"]
 
     def _step(self, where: str, again: str) -> str:
         """What follows from the verdict alone; `again` is the command of this diagnosis."""
@@ -151,18 +159,18 @@ class Diagnosis(Outcome):
         if self.quick and self.verdict != "adequate":
             return f"run {again} without --quick to learn how certain this is."
         if self.verdict == "adequate":
-            return f"run `slipmap identify {where} -o belief.npz` to learn the model to plan with."
+            return f"run `slipmap identify {_plain(where)} -o belief.npz` to learn the model to plan with."
         if self.verdict == "effect":
             names = " ".join(f"--effect {name}" for name in self.effects)
-            more = "" if set(self.best.effects) <= set(LIBRARY) else " --effect-file FILE"
+            more = "" if set(self.best.effects) <= set(LIBRARY) else _own(where)
             output = f"with-{'-'.join(self.effects)}.npz"
-            return f"run `slipmap fit {where} {names}{more} -o {output}` to learn this model."
+            return f"run `slipmap fit {_plain(where)} {names}{more} -o {output}` to learn this model."
         if self.verdict == "ambiguous":
             return f"{push}, then run {again} again."
         if self.verdict == "unknown":
             return (
                 f"run `slipmap compare {where}` to see where and how the model fails; write your own effect"
-                f" in a file and try it with `slipmap diagnose {where} --effect-file FILE`."
+                f" in a file and try it with `slipmap diagnose {_plain(where)} --effect-file FILE`."
             )
         return f"{push}, then run {again} again; `slipmap compare {where}` shows where the model fails."
 
@@ -309,9 +317,8 @@ class JointDiagnosis:
     def _step(self, where: str) -> str:
         """What follows from the verdict alone."""
         if self.effect is not None:
-            of_library = any(self.effect == effect.name for effect in LIBRARY)
-            more = "" if of_library else " --effect-file FILE"
-            command = f"slipmap fit {where} --effect {self.effect}{more} -o with-{self.effect}.npz"
+            more = "" if any(self.effect == effect.name for effect in LIBRARY) else _own(where)
+            command = f"slipmap fit {_plain(where)} --effect {self.effect}{more} -o with-{self.effect}.npz"
             return f"run `{command}` to learn this model, with one belief of each object."
         if self.verdict == "adequate":
             return (
@@ -371,6 +378,19 @@ class JointIdentification:
             "seconds": self.seconds,
             "seed": self.seed,
         }
+
+
+def _plain(where: str) -> str:
+    """What a command takes that knows no effects of one's own."""
+    pairs = pairwise(["", *shlex.split(where)])
+    return shlex.join(word for before, word in pairs if "--effect-file" not in (before, word))
+
+
+def _own(where: str) -> str:
+    """The option that names files of effects; `FILE` where none was given."""
+    pairs = pairwise(["", *shlex.split(where)])
+    files = [word for before, word in pairs if before == "--effect-file"]
+    return "".join(f" --effect-file {shlex.quote(file)}" for file in files or ["FILE"])
 
 
 def _after(first: Sequence[str], again: str, step: str) -> str:

@@ -140,13 +140,13 @@ CASES = {
     ),
     "example": Case("example -o {out}/pushes"),
     "explore": Case(
-        "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --out {out}/run --json {out}/run/r.json"
+        "explore --scenario {data}/cell.yaml --pushes 1 --checks 0 --output {out}/run --json {out}/run/r.json"
         " --record {out}/run/run.html",
         again="explore --resume {out}/run",
         steps=("run/*",), itself=True,
     ),
     "pregrasp": Case(
-        "pregrasp --scenario {data}/cell.yaml --pushes 1 --out {out}/run --json {out}/run/r.json",
+        "pregrasp --scenario {data}/cell.yaml --pushes 1 --output {out}/run --json {out}/run/r.json",
         steps=("run/pushes/*", "run/run.json"), itself=True,
     ),
     "station": Case(

@@ -133,7 +133,7 @@ def test_the_robot_is_told_of_effects(slipmap, tmp_path, monkeypatch, command, l
 
     monkeypatch.setattr(loop, told)
     effects = ["--effect", "table_tilt", "--effect", "tether"]
-    assert_refused(slipmap(command, *effects, "--out", tmp_path), "effects are table_tilt, tether")
+    assert_refused(slipmap(command, *effects, "--output", tmp_path), "effects are table_tilt, tether")
 
 
 def test_nothing_is_proposed_where_nothing_is_near(slipmap, tmp_path):
@@ -170,7 +170,7 @@ def test_the_shell_is_told_words_that_fit(capsys, monkeypatch, words, offered):
 def test_an_object_off_the_table_is_told_with_the_scenario_it_stands_in(slipmap, tmp_path):
     scenario = tmp_path / "cell.yaml"
     scenario.write_text("object: {pose: [0.4, 0.0, 0.0]}")
-    refused = slipmap("explore", "--scenario", scenario, "--out", tmp_path / "run")
+    refused = slipmap("explore", "--scenario", scenario, "--output", tmp_path / "run")
     assert_refused(refused, f"{scenario}: object.pose", "does not lie on the table")
     assert files_in(tmp_path) == ["cell.yaml"]
 

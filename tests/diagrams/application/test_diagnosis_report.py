@@ -200,6 +200,9 @@ def test_every_verdict_ends_with_a_command(tilted, verdict, command, capsys):
     show_diagnosis(told, dataset, EFFECTS, "my/pushes")
     assert " ".join(capsys.readouterr().out.split()).endswith(told.next_step("my/pushes"))
     assert told.to_json("my/pushes")["next_step"] == told.next_step("my/pushes")
+    with_own = told.next_step("my.csv --object block.yaml --effect-file fan.py")
+    assert f"{command} ".replace("my/pushes", "my.csv --object block.yaml") in with_own + " "
+    assert ("--effect-file fan.py" in with_own) == (verdict not in ("adequate", "effect"))
     assert ("imported" in told.next_step()) == (verdict in ("ambiguous", "undecided"))
 
 

@@ -64,7 +64,7 @@ def explored(tmp_path_factory: pytest.TempPathFactory) -> Explored:
     (folder / "cell.yaml").write_text(scenario, encoding="utf-8")
     arguments = ["explore", "--scenario", folder / "cell.yaml"]
     arguments += ["--object", "hammer", "--pushes", 2, "--checks", 1, "--seed", SEED]
-    arguments += ["--out", folder / "out", "--json", folder / "result.json", "--record", folder / "run.html"]
+    arguments += ["-o", folder / "out", "--json", folder / "result.json", "--record", folder / "run.html"]
     code = run([str(argument) for argument in arguments])
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     return Explored(code, folder, result, read_dataset(folder / "out" / "pushes"))
@@ -245,7 +245,7 @@ def files_in(folder: Path) -> list[Path]:
 def refused(slipmap, tmp_path: Path, *arguments: object) -> str:
     """What is said of a wrong request, which leaves no file behind."""
     before = files_in(tmp_path)
-    said = slipmap("explore", "--out", tmp_path / "out", "--json", tmp_path / "r.json", *arguments)
+    said = slipmap("explore", "--output", tmp_path / "out", "--json", tmp_path / "r.json", *arguments)
     assert said.code == 2
     assert said.out == ""
     assert "Traceback" not in said.err

@@ -37,7 +37,7 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     cell, out, result = tmp_path / "cell.yaml", tmp_path / "out", tmp_path / "result.json"
     cell.write_text(COARSE, encoding="utf-8")
     command = [sys.executable, "-m", "slipmap", "explore", "--scenario", cell, "--pushes", "3"]
-    command += ["--checks", "0", "--out", out, "--json", result]
+    command += ["--checks", "0", "--output", out, "--json", result]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(
         [str(word) for word in command], env=ENVIRONMENT, text=True, preexec_fn=hear_ctrl_c, **pipes

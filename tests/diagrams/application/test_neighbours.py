@@ -329,7 +329,7 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path):
 
 def test_an_exploration_is_refused_a_folder_in_use_before_it_writes(slipmap, tmp_path):
     lock_folder(tmp_path)
-    said = slipmap("explore", "--pushes", 1, "--checks", 0, "--out", tmp_path)
+    said = slipmap("explore", "--pushes", 1, "--checks", 0, "--output", tmp_path)
     assert said.code == 2 and "another slipmap is writing a run there" in said.err
     assert files_in(tmp_path) == []
 

@@ -126,7 +126,7 @@ def test_a_place_in_yaml_is_told_without_the_parsers_own_names(slipmap, tilted_f
     shutil.copytree(tilted_folder, dataset)
     for file, arguments in (
         (dataset / "dataset.yaml", ("identify", dataset, "-o", tmp_path / "belief.npz")),
-        (tmp_path / "cell.yaml", ("explore", "--scenario", tmp_path / "cell.yaml", "--out", tmp_path / "o")),
+        (tmp_path / "cell.yaml", ("explore", "--scenario", tmp_path / "cell.yaml", "-o", tmp_path / "o")),
     ):
         file.write_text("object: [1\nb: }")
         said = slipmap(*arguments)

@@ -30,7 +30,7 @@ def explored(renderer, tmp_path_factory):
     (folder / "cell.yaml").write_text(SCENARIO)
     code = run(
         ["explore", "--scenario", str(folder / "cell.yaml"), "--pushes", "5", "--checks", "1", "--seed", "3",
-         "--strategy", "random", "--out", str(folder)]
+         "--strategy", "random", "--output", str(folder)]
     )  # fmt: skip
     assert code == 0
     return folder
@@ -69,7 +69,7 @@ def test_its_pushes_are_all_learned_from_with_the_effect_and_the_object_lies_whe
 ):
     kept, out = contents(explored), tmp_path / "further"
     words = ["--after", explored, "--effect", "table_tilt", "--pushes", 0, "--checks", 1, "--seed", 5]
-    said = slipmap("explore", *words, "--out", out)
+    said = slipmap("explore", *words, "--output", out)
     assert said.code == 0, said.err
     old, new = read_dataset(explored / "pushes").trials, read_dataset(out / "pushes").trials
     assert [trial.role for trial in old] == ["fit"] * 5 + ["heldout"]
@@ -90,12 +90,12 @@ def test_its_pushes_are_all_learned_from_with_the_effect_and_the_object_lies_whe
         (["--pushes", 0, "--checks", 0], "slipmap fit"),
         (["--hardware"], "in simulation; leave out --hardware"),
         (["--resume", "BEFORE"], "leave out --after"),
-        (["--out", "BEFORE"], "name another folder with --out"),
+        (["--output", "BEFORE"], "name another folder with --output"),
     ],
 )
 def test_what_makes_no_sense_beside_it_is_refused(explored, slipmap, tmp_path, words, named):
     kept = contents(explored)
-    out = [] if {"--resume", "--out"} & {*map(str, words)} else ["--out", tmp_path / "out"]
+    out = [] if {"--resume", "--output"} & {*map(str, words)} else ["--output", tmp_path / "out"]
     words = [explored if word == "BEFORE" else word for word in words]
     said = slipmap("explore", *out, "--after", explored, *words)
     assert said.code == 2 and named in said.err
@@ -104,6 +104,6 @@ def test_what_makes_no_sense_beside_it_is_refused(explored, slipmap, tmp_path, w
 
 def test_there_must_be_pushes_to_begin_with(slipmap, tmp_path):
     for words, named in ((["--after", tmp_path], "holds no run"), (["--pushes", 0], "nothing to learn from")):
-        said = slipmap("explore", "--out", tmp_path / "out", *words)
+        said = slipmap("explore", "--output", tmp_path / "out", *words)
         assert said.code == 2 and named in said.err
     assert not list(tmp_path.iterdir())

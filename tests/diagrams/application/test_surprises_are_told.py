@@ -84,10 +84,10 @@ def test_a_run_ends_with_what_to_do_next() -> None:
     usual = _next_step(cell, wrong=False)
     assert "open my run/report.html" in usual
     assert "`slipmap predict DATASET --belief 'my run/belief.npz'`" in usual
-    assert "`slipmap explore --after 'my run' --out FOLDER`" in usual
+    assert "`slipmap explore --after 'my run' --output FOLDER`" in usual
     wrong = _next_step(cell._replace(hardware=True), wrong=True)
     assert wrong.startswith("`slipmap diagnose 'my run/pushes'`; ")
-    assert "`slipmap explore --after 'my run' --out FOLDER --hardware` with `--effect`" in wrong
+    assert "`slipmap explore --after 'my run' --output FOLDER --hardware` with `--effect`" in wrong
 
 
 def test_the_monitor_says_by_which_criterion_it_gives_the_alarm() -> None:

@@ -2,14 +2,15 @@
 
 import dataclasses
 import json
-from pathlib import Path
+import shlex
 
 import numpy as np
 import pytest
 from schemas import assert_as_described
 
 import slipmap as slipmap_package
-from slipmap.diagrams.application.commands.options import typed
+from slipmap.diagrams.application.command_line import slipmap
+from slipmap.diagrams.application.commands.options import datasets_typed
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 from slipmap.diagrams.application.reports.diagnosis_words import joint_ranking, show_together, where_it_falls
@@ -63,8 +64,31 @@ def test_where_locked_pushes_are_not_better_predicted_is_said():
     assert where_it_falls(made(None, None, verdict="adequate")) == ""
 
 
-def test_paths_are_quoted_and_the_file_of_an_own_effect_is_asked_for():
-    assert typed([Path("a b"), Path("c")], ["force sensor"]) == "'a b' c --apart 'force sensor'"
+@pytest.mark.parametrize(
+    "line",
+    [
+        "diagnose 'a b' c --apart 'force sensor'",
+        "diagnose my.csv --object block.yaml --maps known.yaml --effect-file 'my fan.py' --effect-file b.py",
+        "identify my.csv --object block.yaml -o belief.npz",
+        "check my.csv --object rect1 --maps known.yaml",
+    ],
+)
+def test_datasets_are_named_as_they_were_typed(line):
+    name, *words = shlex.split(line)
+    with slipmap.commands[name].make_context(name, list(words)):
+        assert datasets_typed() == line.removeprefix(f"{name} ").removesuffix(" -o belief.npz")
+
+
+def test_commands_that_know_no_own_effects_are_not_given_their_files():
+    where = "my.csv --object block.yaml --effect-file 'my fan.py' --apart table"
+    plain = "my.csv --object block.yaml --apart table"
+    own = dataclasses.replace(made(4.0, 5.0), effects=("mine",))
+    fit = f"`slipmap fit {plain} --effect mine --effect-file 'my fan.py' -o with-mine.npz`"
+    assert fit in own.next_step(where)
+    assert f"`slipmap fit {plain} --effect sensor_latency -o" in made(4.0, 5.0).next_step(where)
+
+
+def test_the_file_of_an_own_effect_is_asked_for():
     own = dataclasses.replace(made(4.0, 5.0), effects=("mine",))
     assert "--effect mine --effect-file FILE -o" in own.next_step()
     assert "--effect-file" not in made(4.0, 5.0).next_step()

@@ -14,7 +14,7 @@ from refusals import assert_refused, files_in
         (["identify", "data", "-o", "b.npz", "--pictures="], "--pictures has an empty name"),
         (["view", ""], "BELIEF has an empty name"),
         (["explore", "--scenario", ""], "--scenario has an empty name"),
-        (["explore", "--out", ""], "--out has an empty name"),
+        (["explore", "--output", ""], "--output has an empty name"),
         (["effects", "--effect-file", "a.py", "--effect-file", ""], "--effect-file has an empty name"),
         (["effects", "--json", ""], "--json has an empty name"),
         (["object", "", "-o", "a.yaml", "--finger", "0.01"], "FILE has an empty name"),
@@ -55,7 +55,7 @@ def test_a_device_is_told_as_such(slipmap, tmp_path, monkeypatch, arguments):
 
 def test_a_scenario_file_has_a_bound(slipmap, tmp_path):
     (tmp_path / "cell.yaml").write_text("# " + 2**21 * "x")
-    said = slipmap("explore", "--scenario", tmp_path / "cell.yaml", "--out", tmp_path / "out")
+    said = slipmap("explore", "--scenario", tmp_path / "cell.yaml", "--output", tmp_path / "out")
     assert_refused(said, "cell.yaml: 2048 KiB, more than the 64 KiB it may have")
 
 
