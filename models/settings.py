@@ -1,7 +1,7 @@
 """Checks of settings and arguments; settings dataclasses of scenario files, whose fields have a range."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -36,6 +36,23 @@ def check_kind(name: str, value: object, kind: type, source: str) -> None:
     if not isinstance(value, kind):
         got = "None" if value is None else f"a {type(value).__name__}"
         raise TypeError(f"{name} must be a {kind.__name__}, {source}; got {got}")
+
+
+def check_several(name: str, value: object, source: str) -> None:
+    """Raise TypeError for a single object where several are wanted; the message says where to get them."""
+    if not isinstance(value, Iterable):
+        raise TypeError(f"{name} must be a list, {source}; got one {type(value).__name__}")
+
+
+THICKEST_FINGER = 0.5  # m, radius
+TOO_THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
+
+
+def check_finger_radius(name: str, radius: float) -> None:
+    """Raise ValueError for a radius, m, that no finger has."""
+    check_positive(name, radius, "m")
+    if radius > THICKEST_FINGER:
+        raise ValueError(TOO_THICK.format(where=name, value=radius))
 
 
 def within(default: float, least: float, largest: float) -> Any:

@@ -37,7 +37,10 @@ from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
 from .models.measurements.importing import import_dataset as import_dataset
 from .models.measurements.push_dataset import PushDataset as PushDataset, Trial as Trial
-from .models.measurements.reading import read_dataset as read_dataset
+from .models.measurements.reading import (
+    dataset_from_arrays as dataset_from_arrays,
+    read_dataset as read_dataset,
+)
 from .models.measurements.simulated import record_pushes as record_pushes
 from .models.measurements.writing import write_dataset as write_dataset
 from .models.objects.benchmark_objects import benchmark_object as benchmark_object, hammer as hammer
@@ -51,3 +54,5 @@ from .models.physics.rollout import Slider as Slider
 from .planners.exploration import candidate_pushes as candidate_pushes
 from .planners.table_push import TablePush as TablePush
 from .planners.telling_push import diagnose as diagnose
+
+__version__: str

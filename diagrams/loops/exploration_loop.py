@@ -27,14 +27,14 @@ from slipmap.diagrams.systems.diagnosis import Diagnosis, Repair
 from slipmap.diagrams.systems.exploration import Exploration
 from slipmap.diagrams.systems.finger import FingerMotion
 from slipmap.diagrams.systems.identification import Identification
-from slipmap.diagrams.systems.measurement_logger import MeasurementLogger, dataset_of
+from slipmap.diagrams.systems.measurement_logger import MeasurementLogger
 from slipmap.diagrams.systems.model_monitor import ModelMonitor, Watch
 from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PushSupervisor
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.measurements.push_dataset import Noise, dataset_of
 from slipmap.models.objects.footprints import rings_of, without_scan_noise
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture

@@ -13,7 +13,7 @@ from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.settings import check_not_negative, check_positive
+from slipmap.models.settings import check_not_negative, check_positive, check_several
 from slipmap.planners.table_push import TablePush
 
 
@@ -78,6 +78,7 @@ class FingerPath(PythonSystem):
         rest: time for which the finger is down and at rest before and after it moves, s.
 
     Raises:
+        TypeError: something else than a list of pushes.
         ValueError: a step that is not positive, a negative rest, a pause that is negative or not finite, or
             too short for a `TrialLogger` to see that the finger is up between two pushes.
 
@@ -91,6 +92,7 @@ class FingerPath(PythonSystem):
     def __init__(self, pushes: Sequence[TablePush], h: float, pause: float = 1.0, rest: float = 0.4) -> None:
         super().__init__()
         self._h = h
+        check_several("FingerPath: pushes", pushes, "such as [push]")
         paths = [push.path(h, rest=rest) for push in pushes]
         check_not_negative("FingerPath: pause", pause, "s")
         steps = round(pause / h)

@@ -6,7 +6,6 @@ from functools import partial
 
 from pydrake.systems.framework import Context, EventStatus, State
 
-from slipmap.diagrams.systems.measurement_logger import dataset_of
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.effects.registry import effects_named
@@ -14,10 +13,10 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import check_draws, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Noise, Table, in_order
+from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of, in_order
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.models.settings import check_kind, check_positive
+from slipmap.models.settings import check_finger_radius, check_kind, check_positive
 
 PERIOD = 0.05
 
@@ -109,7 +108,7 @@ class Identification(PythonSystem):
         self._grid = grid
         if grid is not None:
             check_kind("Identification: grid", grid, CellGrid, "such as slipmap.cells_from_polygon makes")
-        check_positive("Identification: finger_radius", finger_radius, "m")
+        check_finger_radius("Identification: finger_radius", finger_radius)
         check_positive("Identification: gravity", gravity, "m/s²")
         if mass is not None:
             check_positive("Identification: mass", mass, "kg")

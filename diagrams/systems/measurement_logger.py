@@ -1,13 +1,12 @@
 """Records sensor measurements during pushes: one trial per push, in the format that every command reads.
 
 `MeasurementLogger` is for a robot cell, where the arm hides the object while it pushes. `TrialLogger` is for
-a diagram of your own in which pose, finger and force are always known. `dataset_of` turns trials into a
-dataset.
+a diagram of your own in which pose, finger and force are always known.
+`slipmap.models.measurements.push_dataset.dataset_of` turns trials into a dataset.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,10 +18,10 @@ from pydrake.systems.framework import Context
 from slipmap.diagrams.execution.arm_motion import TORQUE_LAG
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held
-from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import Channel, Role
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_positive, check_whole
 
 PERIOD = 0.01  # s between two rows of tip and force
@@ -287,50 +286,3 @@ def _lies_there(row: Row, looks: Sequence[Row]) -> bool:
 
 def _fresh(row: Row, rows: Sequence[Row]) -> bool:
     return not rows or row[0] > rows[-1][0] + 1e-9
-
-
-def dataset_of(
-    trials: Sequence[Trial],
-    grid: CellGrid,
-    *,
-    name: str,
-    finger_radius: float,
-    noise: Noise,
-    mass: float | None = None,
-    table: Table | None = None,
-    gravity: float = 9.81,
-    finger_height: float | None = None,
-    description: str = "",
-) -> PushDataset:
-    """Recorded trials as a dataset, like one read from a folder.
-
-    Args:
-        trials: one or more.
-        grid: the object as seen by the camera.
-        finger_radius: m.
-        mass: of the object, if it was weighed, kg.
-        gravity: m/s².
-        finger_height: of the finger's lower end above the table, where known, m.
-
-    Raises:
-        DatasetError: there is no trial, or a mass, radius or gravity that is not positive.
-    """
-    digest = hashlib.sha256(grid.centers.tobytes() + grid.edges.tobytes())
-    for trial in trials:
-        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
-            if channel is not None:
-                digest.update(channel.time.tobytes() + channel.values.tobytes())
-    return PushDataset(
-        name=name,
-        description=description,
-        grid=grid,
-        height=None,
-        mass=mass,
-        finger_radius=finger_radius,
-        finger_height=finger_height,
-        table=table,
-        gravity=gravity,
-        noise=noise,
-        trials=tuple(trials),
-        fingerprint=digest.hexdigest(),
-    )

@@ -156,6 +156,9 @@ def effects_given(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
         raise EffectError(f"effects must be a list of names or effects, got {effects!r}")
     effects = tuple(effects)
     for effect in effects:
+        if inspect.isclass(effect) and issubclass(effect, Effect):
+            name = effect.__name__
+            raise EffectError(f"effects must be objects, got the class {name}; write {name}()")
         if not isinstance(effect, Effect | str):
             raise EffectError(f"effects must be names or objects of a class of Effect, got {effect!r}")
     own = [effect for effect in effects if not isinstance(effect, str)]

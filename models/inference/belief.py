@@ -307,7 +307,8 @@ class Belief:
                 if name not in by_name:
                     raise BeliefError(
                         f"{path} carries the effect {name!r}, which the library does not have; give the file"
-                        " that defines it with --effect-file"
+                        " that defines it with --effect-file (in Python"
+                        " known=(*slipmap.LIBRARY, *slipmap.load_effects(FILE)))"
                     )
             width, outline = float(meta["cell_width"]), arrays["exterior"]
             return cls(

@@ -6,6 +6,7 @@ and `wrench_samples` only shift their zero to the first object pose.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +21,14 @@ from shapely.geometry import Polygon
 from slipmap.models.geometry import seen_from
 from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.settings import check_choice, check_kind, check_not_negative, check_positive
+from slipmap.models.settings import (
+    THICKEST_FINGER,
+    TOO_THICK,
+    check_choice,
+    check_kind,
+    check_not_negative,
+    check_positive,
+)
 
 if TYPE_CHECKING:
     from slipmap.models.physics.rollout import Slider
@@ -103,7 +111,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One push, or one slide without a finger.
+    """One push, or one slide without a finger. `slipmap.dataset_from_arrays` makes trials of arrays.
 
     Attributes:
         name: the trial's file, such as 'trials/000.json'.
@@ -119,6 +127,7 @@ class Trial:
     Raises:
         DatasetError: an unknown role, a wrong number of columns, fewer than two object poses, or an order
             that is not a whole number from 0.
+        TypeError: an array where a `Channel` belongs.
 
     Example:
         >>> import slipmap
@@ -144,6 +153,9 @@ class Trial:
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
         if self.order is not None and (not isinstance(self.order, int) or self.order < 0):
             raise DatasetError(f"{self.name}: order must be a whole number from 0, got {self.order!r}")
+        for what, channel in self.channels.items():
+            source = "which slipmap.dataset_from_arrays makes of arrays"
+            check_kind(f"{self.name}: {what}", channel, Channel, source)
         if len(self.object_pose.time) < 2:
             raise DatasetError(f"{self.name}: object_pose needs at least two rows, a first and a last pose")
         for what, channel in self.channels.items():
@@ -432,7 +444,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class PushDataset(Setup):
-    """Trials of one object with one finger.
+    """Trials of one object with one finger; `slipmap.dataset_from_arrays` makes one of arrays.
 
     Attributes:
         trials: in the order of the experiment. Unless each has an `order` of its own, as after reading and
@@ -442,8 +454,8 @@ class PushDataset(Setup):
         provenance: where the pushes came from and what was done to them, in sentences.
 
     Raises:
-        DatasetError: no trials, two with the same name, or a radius, gravity, height or mass that is not
-            positive.
+        DatasetError: no trials, two with the same name, a radius, gravity, height or mass that is not
+            positive, or a finger over 0.5 m thick.
 
     Example:
         >>> import slipmap
@@ -474,6 +486,8 @@ class PushDataset(Setup):
         ):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value}")
+        if self.finger_radius > THICKEST_FINGER:
+            raise DatasetError(TOO_THICK.format(where="finger radius", value=self.finger_radius))
         if self.known is not None:
             self.known.check(len(self.grid), self.mass)
         if not self.trials:
@@ -506,6 +520,55 @@ class PushDataset(Setup):
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
+
+
+def dataset_of(
+    trials: Sequence[Trial],
+    grid: CellGrid,
+    *,
+    name: str,
+    finger_radius: float,
+    noise: Noise,
+    mass: float | None = None,
+    table: Table | None = None,
+    gravity: float = 9.81,
+    finger_height: float | None = None,
+    height: float | None = None,
+    description: str = "",
+) -> PushDataset:
+    """Recorded trials as a dataset, unchecked; `dataset_from_arrays` checks arrays as files are checked.
+
+    Args:
+        trials: one or more.
+        grid: the object.
+        finger_radius: m.
+        mass: of the object, if it was weighed, kg.
+        gravity: m/s².
+        finger_height: of the finger's lower end above the table, where known, m.
+        height: of the object, where known, m.
+
+    Raises:
+        DatasetError: there is no trial, or a mass, radius or gravity that is not positive.
+    """
+    digest = hashlib.sha256(grid.centers.tobytes() + grid.edges.tobytes())
+    for trial in trials:
+        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
+            if channel is not None:
+                digest.update(channel.time.tobytes() + channel.values.tobytes())
+    return PushDataset(
+        name=name,
+        description=description,
+        grid=grid,
+        height=height,
+        mass=mass,
+        finger_radius=finger_radius,
+        finger_height=finger_height,
+        table=table,
+        gravity=gravity,
+        noise=noise,
+        trials=tuple(trials),
+        fingerprint=digest.hexdigest(),
+    )
 
 
 def check_dataset_given(dataset: object) -> None:

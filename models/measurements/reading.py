@@ -3,11 +3,14 @@ push, or files of pushes without a description."""
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.known_maps import with_known_maps
@@ -15,16 +18,21 @@ from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import (
     CHANNELS,
     DatasetError,
+    Noise,
     PushDataset,
     Role,
     Setup,
+    Table,
     Trial,
+    dataset_of,
     in_order,
 )
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.progress import StageProgress
+from slipmap.models.settings import check_kind, check_whole
 
 FORMAT = "push-dataset/1"
 DESCRIPTION_FILE = "dataset.yaml"
@@ -94,6 +102,124 @@ def read_dataset(
     for warning in dataset.warnings:
         tell(warning)
     return dataset
+
+
+def dataset_from_arrays(
+    pushes: Sequence[Mapping[str, ArrayLike]],
+    grid: CellGrid,
+    *,
+    finger_radius: float,
+    heldout: int | None = None,
+    name: str = "pushes",
+    description: str = "",
+    mass: float | None = None,
+    height: float | None = None,
+    finger_height: float | None = None,
+    table: Table | None = None,
+    gravity: float = 9.81,
+    noise: Noise | None = None,
+    keep_all: bool = False,
+    tell: Callable[[str], object] = _LOG.warning,
+) -> PushDataset:
+    """A dataset of arrays, which are checked as files are by `read_dataset`.
+
+    Each push is a mapping of its sensors to rows, each sensor with its own times:
+
+    - `object_pose`: (T, 4) time (s), x, y (m) and theta (rad) of the object frame in the world frame;
+    - `tip_pose`: (T, 3) time (s), x, y (m) of the finger's centre in the world frame;
+    - `ft_wrench`, if force was measured: (T, 3) time (s) and force of the finger on the object in the world
+      frame (N), or (T, 4) with the torque about the finger's axis (N·m).
+
+    Rows with NaN are left out. Pushes that cannot be pushes, as in millimetres, are told or left out.
+
+    Args:
+        pushes: in the order of the experiment.
+        grid: the object's cells.
+        finger_radius: m.
+        heldout: number of last pushes to hold out; if None, a quarter, rounded down.
+        name, description: of the dataset.
+        mass, height: of the object, kg and m, where known.
+        finger_height: of the finger's lower end above the table, m, where known.
+        table: the table top, where known.
+        gravity: m/s².
+        noise: standard deviations of the sensors, where known.
+        keep_all, tell: as in `read_dataset`.
+
+    Raises:
+        DatasetError: an array of another shape, times that do not increase, numbers too large for their unit,
+            or a mass, radius or gravity that is not positive; names push and array.
+        ValueError: a number of held-out pushes that is no whole number from 0.
+        TypeError: something else than mappings of arrays and a grid.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> grid = slipmap.cells_from_polygon([[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]])
+        >>> time = np.linspace(0.0, 1.0, 101)
+        >>> way = 0.05 * np.maximum(time - 0.1, 0.0)  # pushed at the middle of a side, along +y
+        >>> poses = np.column_stack([time, 0.0 * time, way, 0.0 * time])
+        >>> tips = np.column_stack([time, 0.0 * time, 0.05 * (time - 0.1) - 0.038])
+        >>> pushes = [{"object_pose": poses, "tip_pose": tips}]
+        >>> slipmap.dataset_from_arrays(pushes, grid, finger_radius=0.008)
+        PushDataset('pushes': 72 cells; 1 push to fit, 0 held out)
+    """
+    check_kind("grid", grid, CellGrid, "such as slipmap.cells_from_polygon returns")
+    trials: list[Trial] = []
+    doubts: list[tuple[str, str, str]] = []
+    for number, arrays in enumerate(pushes):
+        where = f"push {number}"
+        check_kind(where, arrays, Mapping, f"with the arrays {', '.join(CHANNELS)}")
+        tables = {channel: _rows(arrays[channel], channel, where) for channel in _known(arrays, where)}
+        trial, told = trial_from_tables(f"trials/{number:03d}.json", "fit", tables, where)
+        trials.append(trial)
+        doubts += [(where, where, doubt) for doubt in told]
+    if heldout is not None:
+        check_whole("heldout", heldout, 0)
+        if heldout > len(trials):
+            raise DatasetError(f"heldout: there are {len(trials)} pushes, so {heldout} cannot be held out")
+    dataset = dataset_of(
+        last_held_out(trials, heldout), grid, name=name, description=description,
+        finger_radius=finger_radius, mass=mass, height=height, finger_height=finger_height, table=table,
+        gravity=gravity, noise=noise or Noise(),
+    )  # fmt: skip
+    stays = True if keep_all else None
+    kept, told = check_trials(dataset, dataset.trials, name, lambda trial: stays)
+    warnings = (*_gathered(doubts), *told)
+    for warning in warnings:
+        tell(warning)
+    return replace(dataset, trials=tuple(kept), warnings=warnings)
+
+
+_COLUMNS = {
+    "object_pose": ((4,), "time s, x m, y m, theta rad"),
+    "tip_pose": ((3, 4), "time s, x m, y m"),
+    "ft_wrench": ((3, 4), "time s, force_x N, force_y N"),
+}
+"""Numbers of columns that an array may have, and their meaning."""
+
+
+def _known(arrays: Mapping[str, ArrayLike], where: str) -> list[str]:
+    """Names of the arrays of a push; refuses others."""
+    for key in arrays:
+        if key not in CHANNELS:
+            raise DatasetError(f"{where}: unknown array {key!r}; a push has {', '.join(CHANNELS)}")
+    return [key for key in arrays if arrays[key] is not None]
+
+
+def _rows(array: ArrayLike, channel: str, where: str) -> FloatArray:
+    """Rows (T, 3 or 4) of a channel; a torque that is missing is NaN."""
+    columns, meaning = _COLUMNS[channel]
+    where = f"{where}, {channel}"
+    try:
+        rows = np.asarray(array, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{where}: needs an array of numbers ({error})") from None
+    if rows.ndim != 2 or rows.shape[1] not in columns:
+        turned = "; give its transpose" if rows.ndim == 2 and rows.shape[0] in columns else ""
+        raise DatasetError(f"{where}: needs rows ({meaning}), but has the shape {rows.shape}{turned}")
+    if channel == "ft_wrench" and rows.shape[1] == 3:
+        return np.column_stack([rows, np.full(len(rows), np.nan)])
+    return rows
 
 
 def _read(
@@ -333,9 +459,9 @@ def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Re
     return read_all
 
 
-def last_held_out(trials: list[Trial]) -> list[Trial]:
-    """Trials with the last quarter, rounded down, held out."""
-    learned = len(trials) - len(trials) // _HELDOUT_SHARE
+def last_held_out(trials: list[Trial], count: int | None = None) -> list[Trial]:
+    """Trials with so many of the last held out; if None, a quarter, rounded down."""
+    learned = len(trials) - (len(trials) // _HELDOUT_SHARE if count is None else count)
     return trials[:learned] + [replace(trial, role="heldout") for trial in trials[learned:]]
 
 

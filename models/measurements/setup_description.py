@@ -13,15 +13,15 @@ from slipmap.models.measurements import known_maps, parsing
 from slipmap.models.measurements.parsing import Number
 from slipmap.models.measurements.push_dataset import DatasetError, Noise, Setup, Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import THICKEST_FINGER, TOO_THICK
 
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise", "known")
 
 _DEVIATION = "{where}: a standard deviation must lie between 0 and {high:g}, got {value}"
-_THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
 _LENGTH = Number("m")
 _OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
 _FINGER = {
-    "radius": Number("m", high=0.5, beyond=_THICK),
+    "radius": Number("m", high=THICKEST_FINGER, beyond=TOO_THICK),
     "height": Number("m", high=0.5, beyond="{where} is {value:g} m above the table; divide by 1000?"),
 }
 _GRAVITY = Number("m/s²", 1e-3, 1e3)

@@ -11,7 +11,7 @@ from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
-from slipmap.models.settings import check_kind
+from slipmap.models.settings import check_kind, check_several
 
 GOOD_SENSORS = Noise(position=0.25e-3, angle=float(np.radians(0.15)), tip=0.05e-3, force=0.05)
 """A marker tracker, a stiff arm and a wrist force sensor."""
@@ -73,6 +73,7 @@ def record_pushes(
     """
     if len(maps) != 1:
         raise ValueError(f"recording: needs exactly one model, the true maps, got {len(maps)}")
+    check_several("recording: pushes", pushes, "such as [push]")
     if not 0 <= heldout <= len(pushes) or not pushes:
         raise ValueError(
             f"recording: cannot hold out {heldout} of {len(pushes)} pushes; it takes at least one push, of"

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,7 @@ from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray, checked_points, checked_polygon
 
 _MAX_CELLS = 50_000  # a finer grid is probably a mistake in units
+_LARGEST = 10.0  # m; so is a larger object
 # The centre of the bounding box holds a cell's centre (0) or a cell's edge (0.5), in x and in y.
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
@@ -60,8 +61,10 @@ def cells_from_polygon(
         about: rough number of cells where neither is given; met as closely as by `count` if below ten.
 
     Raises:
+        TypeError: holes that are no rings.
         ValueError: count and width are both given, or one is out of range; the outline is not a simple
-            polygon; or the width is so large that no centre lies inside.
+            polygon, or measures more than 10 m, as in mm; or the width is so large that no centre lies
+            inside.
 
     Example:
         >>> import slipmap
@@ -69,10 +72,17 @@ def cells_from_polygon(
         >>> len(grid), round(grid.width, 4)
         (15, 0.02)
     """
+    if not isinstance(holes, Iterable):
+        raise TypeError(f"cell grid: holes must be a list of rings, got {holes}; give count= or width=")
     if count is not None and width is not None:
         raise ValueError("cell grid: give only one of count and width")
     outline, openings = checked_points(exterior, "outline"), checked_holes(holes)
     polygon = checked_polygon(outline, openings)
+    x0, y0, x1, y1 = polygon.bounds
+    if max(x1 - x0, y1 - y0) > _LARGEST:
+        raise ValueError(
+            f"outline: measures {x1 - x0:.4g} m × {y1 - y0:.4g} m; corners must be in m, divide by 1000?"
+        )
     for name, number in (("count", count), ("about", about)):
         whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
         if number is not None and not (whole and 1 <= number <= _MAX_CELLS):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.kernel_tools import JoinedPushes
-from slipmap.models.settings import check_kind
+from slipmap.models.settings import check_kind, check_several
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +158,10 @@ def join_pushes(
         start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
 
     Raises:
+        TypeError: something else than a list of pushes.
         ValueError: there is no push, or starts have the wrong shape.
     """
+    check_several("rollout: pushes", pushes, "such as [push]")
     if not pushes:
         raise ValueError("rollout: needs at least one push")
     for index, push in enumerate(pushes):

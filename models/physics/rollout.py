@@ -31,8 +31,7 @@ from slipmap.models.physics.pushes import Push, join_pushes
 from slipmap.models.physics.sensors import Sensors, clear_unreached
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM_RESULTS, TIPS
-
-_THICKEST = 0.5  # m, largest finger radius
+from slipmap.models.settings import check_finger_radius
 
 
 @dataclass(frozen=True)
@@ -152,12 +151,7 @@ class Slider:
         effects: Sequence[Effect | str] = (),
         table: Table | None = None,
     ) -> None:
-        if not (np.isfinite(finger_radius) and finger_radius > 0):
-            raise ValueError(f"finger radius must be a positive length in m, got {finger_radius}")
-        if finger_radius > _THICKEST:
-            raise ValueError(
-                f"finger radius is {finger_radius:g} m; no finger is that thick, divide by 1000?"
-            )
+        check_finger_radius("finger radius", finger_radius)
         if not (np.isfinite(gravity) and gravity > 0):
             raise ValueError(f"gravity must be positive, got {gravity} m/s²")
         self.grid = grid
@@ -269,6 +263,7 @@ class Slider:
             world at its `force_times`, N; `end` is (K, B, 6), last pose and twist (object frame; m/s, rad/s).
 
         Raises:
+            TypeError: something else than a list of pushes.
             ValueError: maps for a different grid, or table poses of the wrong shape.
             RolloutError: a step was not solved; names the model and the push.
         """

@@ -13,11 +13,10 @@ import shapely
 
 from slipmap.diagrams.loops.exploration_loop import SENSORS
 from slipmap.diagrams.station.table import ROUND_TABLE
-from slipmap.diagrams.systems.measurement_logger import dataset_of
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Channel, Noise, Table
+from slipmap.models.measurements.push_dataset import Channel, Noise, Table, dataset_of
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray

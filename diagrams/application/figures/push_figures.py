@@ -21,6 +21,7 @@ from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.contact import CALIBRATION_ERROR
 from slipmap.models.measurements.push_dataset import check_dataset_given, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.settings import check_several
 
 MODEL_COLOURS = (BELIEF, OTHER)  # colours of one model, or of two over the same pushes
 _PANELS_A_PAGE = 24
@@ -67,7 +68,7 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
         title: heading; the dataset's name where empty.
 
     Raises:
-        TypeError: something other than a dataset.
+        TypeError: something other than predictions, or than a dataset.
         ValueError: predictions of another dataset.
 
     Example:
@@ -78,6 +79,7 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
         1
     """
     check_dataset_given(dataset)
+    check_several("push_figures: predictions", predictions, "such as slipmap.identify(dataset).pushes")
     trials = {trial.name: trial for trial in dataset.trials}
     strange = [push.trial for push in predictions if push.trial not in trials]
     if strange:

@@ -27,6 +27,16 @@ def test_an_empty_path_is_not_the_working_folder(slipmap, tmp_path, monkeypatch,
     assert files_in(tmp_path) == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["effects"], ["check", "x"], ["identify", "x", "-o", "b.npz"], ["explore", "-o", "out"], ["doctor"]],
+)
+def test_results_are_not_written_to_standard_output(slipmap, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(slipmap(*arguments, "--json", "-"), "cannot write to standard output", "name a file for -")
+    assert files_in(tmp_path) == []
+
+
 @pytest.mark.parametrize("name", ["thing", "thing.stl", "thing.png"])
 def test_a_folder_is_no_object(slipmap, tmp_path, name):
     (tmp_path / name).mkdir()

@@ -10,10 +10,10 @@ from driven_block import DrivenBlock
 from hidden_effects import TILT, tilted_pushes
 
 from slipmap.diagrams.systems.identification import PERIOD, Identification
-from slipmap.diagrams.systems.measurement_logger import dataset_of
 from slipmap.models.effects import EffectError
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Noise
+from slipmap.models.measurements.push_dataset import dataset_of
 
 K, SEED = 4, 7
 

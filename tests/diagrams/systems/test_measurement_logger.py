@@ -12,9 +12,9 @@ from pydrake.math import RigidTransform
 from slipmap.diagrams.execution.arm_motion import TORQUE_LAG
 from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
-from slipmap.diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger, dataset_of
+from slipmap.diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger
 from slipmap.models.measurements import PushDataset, Trial, read_dataset, write_dataset
-from slipmap.models.measurements.push_dataset import Channel, DatasetError, Noise
+from slipmap.models.measurements.push_dataset import Channel, DatasetError, Noise, dataset_of
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
 

@@ -3,8 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from straight_pushes import RADIUS, straight_pushes
 
-from slipmap.models.measurements import Channel, DatasetError, Trial, read_dataset
+import slipmap
+from slipmap.models.measurements import Channel, DatasetError, Trial, read_dataset, write_dataset
 
 
 def channel(rows: int, columns: int, first: float = 0.0) -> Channel:
@@ -102,3 +104,71 @@ def test_more_fit_pushes_than_there_are(example, count):
 @given(st.text(max_size=60))
 def test_an_error_text_is_one_paragraph(text):
     assert len(str(DatasetError(text)).splitlines()) <= 1
+
+
+def arrays_of(trial: Trial) -> dict[str, np.ndarray]:
+    return {name: np.column_stack([one.time, one.values]) for name, one in trial.channels.items()}
+
+
+def of_arrays(change=lambda arrays: arrays, **settings):
+    bar = straight_pushes(4)
+    pushes = [change(arrays_of(trial)) for trial in bar.trials]
+    return slipmap.dataset_from_arrays(pushes, bar.grid, finger_radius=RADIUS, **settings)
+
+
+def test_arrays_make_the_dataset_that_files_would_make(tmp_path):
+    made, told = of_arrays(tell=print, mass=0.7), []
+    read = read_dataset(write_dataset(made, tmp_path / "pushes"), tell=told.append)
+    assert made.warnings == read.warnings == tuple(told) and made.mass == read.mass == 0.7
+    assert [trial.role for trial in made.trials] == ["fit", "fit", "fit", "heldout"]
+    for one, same, pushed in zip(made.trials, read.trials, straight_pushes(4).trials, strict=True):
+        assert (one.name, one.order) == (same.name, same.order) == (pushed.name, same.order)
+        for name, channel in pushed.channels.items():
+            for other in (one.channels[name], same.channels[name]):
+                np.testing.assert_array_equal(other.time, channel.time)
+                np.testing.assert_array_equal(other.values, channel.values)
+    assert made.fingerprint != of_arrays(lambda push: push | {"ft_wrench": None}).fingerprint
+    assert [trial.role for trial in of_arrays(heldout=0).trials] == 4 * ["fit"]
+
+
+def test_a_torque_may_be_missing():
+    without = of_arrays(lambda push: push | {"ft_wrench": push["ft_wrench"][:, :3]})
+    assert not without.trials[0].ft_wrench.values[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (
+            lambda push: push | {"object_pose": push["object_pose"][:, 1:]},
+            r"push 0, object_pose: .*theta rad",
+        ),
+        (lambda push: push | {"object_pose": push["object_pose"].T}, "transpose"),
+        (lambda push: push | {"tip_pose": push["tip_pose"][:, 0]}, r"push 0, tip_pose: .*shape \(120,\)"),
+        (
+            lambda push: push | {"force": push["ft_wrench"]},
+            "push 0: unknown array 'force'; a push has object",
+        ),
+        (lambda push: {"object_pose": push["object_pose"]}, "push 0: `tip_pose` is missing"),
+        (lambda push: push | {"tip_pose": "left"}, "push 0, tip_pose: needs an array of numbers"),
+        (lambda push: push | {"object_pose": push["object_pose"][::-1]}, "row 1: time .* is earlier"),
+        (lambda push: {name: rows * [1e6, 1, 1, 1][: rows.shape[1]] for name, rows in push.items()}, "in s"),
+    ],
+)
+def test_what_is_wrong_with_an_array_is_told(change, complaint):
+    with pytest.raises(DatasetError, match=complaint):
+        of_arrays(change)
+
+
+def test_arrays_in_millimetres_are_told():
+    told = []
+    of_arrays(lambda push: push | {"object_pose": push["object_pose"] * [1, 1e3, 1e3, 1]}, tell=told.append)
+    assert any("are positions in m" in text for text in told)
+
+
+def test_an_array_is_no_channel():
+    with pytest.raises(TypeError, match=r"a: object_pose must be a Channel, which slipmap\.dataset_from_arr"):
+        Trial("a", "fit", np.zeros((10, 4)), np.zeros((10, 3)))
+    for heldout, complaint in ((5, "4 pushes, so 5"), (0.5, "whole number")):
+        with pytest.raises(ValueError, match=complaint):
+            of_arrays(heldout=heldout)
