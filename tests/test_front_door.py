@@ -7,6 +7,7 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import matplotlib
@@ -40,8 +41,16 @@ def test_every_name_is_there_and_listed() -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError):
+    with pytest.raises(AttributeError, match=r"slipmap has no identfy; did you mean identify\?"):
         slipmap.identfy  # noqa: B018
+    with pytest.raises(AttributeError, match=r"slipmap has no xyzzy; dir\(slipmap\) lists"):
+        slipmap.xyzzy  # noqa: B018
+    assert not hasattr(slipmap, "__wrapped__")
+
+
+def test_the_version_is_that_of_the_command() -> None:
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert slipmap.__version__ == told
 
 
 def test_it_loads_neither_drake_nor_numpy() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -20,6 +21,23 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)  # the identity quaternion
 _LINK_MASS = 1e-6  # kg
 _FINGER_MASS = 1e-2  # kg; so light that its drive force is the contact force
 _MOTOR = [1e4, 1e4]  # N; nothing in the scene can stop it
+
+
+def import_bullet() -> ModuleType:
+    """The module pybullet, without the line that it writes to standard error when it is first imported.
+
+    Raises:
+        ModuleNotFoundError: it is not installed.
+    """
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        import pybullet
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+    return pybullet
 
 
 class BulletScene:

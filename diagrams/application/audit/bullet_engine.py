@@ -5,11 +5,20 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-import pybullet as p
 
 from slipmap.diagrams.application.audit.engines import EngineScene
-from slipmap.diagrams.application.bullet_bodies import FEET, FOOT, MARGIN, SINK, TABLE, BulletScene
+from slipmap.diagrams.application.bullet_bodies import (
+    FEET,
+    FOOT,
+    MARGIN,
+    SINK,
+    TABLE,
+    BulletScene,
+    import_bullet,
+)
 from slipmap.models.physics.cell_grid import FloatArray
+
+p = import_bullet()
 
 _HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table
 _SIDE = 0.02  # m, height of the sides

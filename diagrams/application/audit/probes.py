@@ -394,16 +394,12 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
     spin, unsure = _mean(full.spin), _spread(full.spin, half.spin)
     # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
-    has_torsion = (
-        abs(torsion) > max(_KINDS["torsion"][1], _SURE * torsion_unsure)
-        and (spin - 1) / torsion > 0.5
-        and pyramid.share < 0.05
-    )
-    if has_torsion:
-        add("torsion", torsion, torsion_unsure,
-            f"A torque {'resists' if torsion > 0 else 'helps'} any spin, with {_percent(abs(torsion))} of the"
-            " torque of a spin in place without it.",
-            "torsional_friction" if torsion > 0 else None)  # fmt: skip
+    felt = abs(torsion) > max(_KINDS["torsion"][1], _SURE * torsion_unsure)
+    has_torsion = felt and (spin - 1) / torsion > 0.5 and pyramid.share < 0.05
+    add("torsion", torsion if has_torsion or not felt else 0.0, torsion_unsure,
+        f"A torque {'resists' if torsion > 0 else 'helps'} any spin, with {_percent(abs(torsion))} of the"
+        " torque of a spin in place without it.",
+        "torsional_friction" if torsion > 0 else None)  # fmt: skip
     excess = spin - 1 - (torsion if has_torsion else 0.0)
     add("load_follows_slip", excess, unsure,
         f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"

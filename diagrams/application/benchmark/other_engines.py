@@ -26,6 +26,7 @@ from slipmap.diagrams.application.benchmark.scene import (
     Outcome,
     Scene,
 )
+from slipmap.diagrams.application.bullet_bodies import import_bullet
 from slipmap.models.geometry import turn
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -79,7 +80,7 @@ def run_bullet(scene: Scene, repeats: int) -> Outcome:
     Raises:
         ModuleNotFoundError: pybullet is not installed.
     """
-    import pybullet
+    pybullet = import_bullet()
 
     def simulate() -> tuple[float, np.ndarray]:
         client = pybullet.connect(pybullet.DIRECT)

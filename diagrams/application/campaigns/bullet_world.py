@@ -13,6 +13,7 @@ from slipmap.diagrams.application.bullet_bodies import (
     SINK,
     TABLE,
     BulletScene,
+    import_bullet,
 )
 from slipmap.diagrams.application.campaigns.worlds import (
     AT_REST,
@@ -56,7 +57,7 @@ class BulletWorld(DirectWorld):
         self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
     ) -> None:
         try:
-            import pybullet
+            pybullet = import_bullet()
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
                 "Bullet is not installed; install it with `pip install 'slipmap[bench]'`"

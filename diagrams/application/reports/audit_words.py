@@ -161,7 +161,8 @@ def _measure_rows(audit: Audit) -> list[tuple[str, ...]]:
         scale, unit = (100.0, "%") if m.unit == "1" else (1.0, m.unit)
         rows.append(
             (
-                m.title, f"{scale * m.value:.2f} {unit}", f"{scale * m.uncertainty:.2f} {unit}",
+                m.title, f"{round(scale * m.value, 2) + 0.0:.2f} {unit}",  # + 0 takes the sign off a zero
+                f"{scale * m.uncertainty:.2f} {unit}",
                 f"{scale * m.tolerance:g} {unit}", "yes" if m.named else "",
             )
         )  # fmt: skip

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import slipmap
@@ -34,6 +36,7 @@ def test_a_seed_that_no_file_could_record(pushes: PushDataset, call: str, seed: 
         ([None], "must be names or objects of a class of Effect, got None"),
         (["tabletilt"], "unknown effect 'tabletilt'; did you mean table_tilt"),
         (["tether", "tether"], "effect tether is given twice"),
+        ([type(slipmap.LIBRARY[0])], r"effects must be objects, got the class (\w+); write \1\(\)"),
         (None, "effects must be a list of names or effects, got None"),
     ],
 )
@@ -42,6 +45,59 @@ def test_effects_are_taken_alike(
 ) -> None:
     with pytest.raises(slipmap.models.effects.effect.EffectError, match=words):
         call(pushes, effects=effects)
+
+
+GRID, TRUTH = slipmap.hammer()
+PUSH = slipmap.Push(0.01, np.zeros((3, 2)), np.zeros(3))
+LINE = slipmap.TablePush([-0.06, 0.0], [0.04, 0.0], 0.05)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda dataset: slipmap.Slider(GRID, 0.008).rollout(TRUTH, PUSH),
+            r"pushes must be .*\[push\]; .* Push",
+        ),
+        (
+            lambda dataset: slipmap.record_pushes(
+                slipmap.Slider(GRID, 0.008), TRUTH, PUSH, np.random.default_rng(0)
+            ),
+            "recording: pushes must be a list",
+        ),
+        (lambda dataset: slipmap.FingerPath(LINE, h=0.005), "FingerPath: pushes must be .* one TablePush"),
+        (
+            lambda dataset: slipmap.push_figures(dataset, dataset),
+            r"identify\(dataset\)\.pushes; got one PushD",
+        ),
+        (
+            lambda dataset: slipmap.cells_from_polygon(GRID.exterior, 0.01),
+            "rings, got 0.01; give count= or width=",
+        ),
+    ],
+)
+def test_one_where_a_list_is_expected(pushes: PushDataset, call: Callable[..., Any], words: str) -> None:
+    with pytest.raises(TypeError, match=words):
+        call(pushes)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda dataset: slipmap.cells_from_polygon(1e3 * GRID.exterior),
+            "must be in m, divide by 1000",
+        ),
+        (
+            lambda dataset: slipmap.Identification(grid=GRID, finger_radius=8),
+            "finger_radius is 8 m; no finger",
+        ),
+        (lambda dataset: replace(dataset, finger_radius=8), "finger radius is 8 m; no finger"),
+    ],
+)
+def test_millimetres_are_told(pushes: PushDataset, call: Callable[..., Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        call(pushes)
 
 
 def test_a_diagnosis_needs_a_candidate(pushes: PushDataset) -> None:
@@ -83,8 +139,6 @@ def test_what_identify_returns_is_taken_as_its_belief(pushes: PushDataset) -> No
 
 
 def test_a_seed_of_numpy_can_be_saved(pushes: PushDataset, tmp_path: Any) -> None:
-    import numpy as np
-
     belief = identify(pushes, hypotheses=2, seed=np.int64(3), friction_laws=False).belief  # type: ignore
     belief.save(tmp_path / "belief.npz")
     assert Belief.load(tmp_path / "belief.npz").seed == 3

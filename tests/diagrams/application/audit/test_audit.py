@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
@@ -126,6 +127,12 @@ class Slower(CoulombEngine):
         return super().pose() + self._crept
 
 
+def test_a_zero_has_no_sign() -> None:
+    small = Measure("lean", "leaning friction", -1e-4, 2e-3, 1.0, "°", "It leans.", None)
+    (row,) = audit_words._measure_rows(cast(Any, SimpleNamespace(measures=[small])))
+    assert row[1] == "0.00 °"
+
+
 def test_weak_friction_and_creep_are_named() -> None:
     found = sizes(Subject("slower", Slower))
     assert found["factor"] == pytest.approx(-0.1, abs=1e-3)
@@ -164,6 +171,7 @@ def test_of_the_model_itself_nothing_is_named(
     assert found["defects"] == found["explained"] == found["remedies"] == []
     assert found["price_mm"] < 0.1 and found["step"] == 4e-3
     said = capsys.readouterr().out
+    assert "torsional friction" in said and not re.search(r"-0\.00 ", said)
     assert "No defect was found" in said and "mm from Coulomb's law" in said
     assert "<svg" not in page.read_text() and "data:image/svg+xml" in page.read_text()
 

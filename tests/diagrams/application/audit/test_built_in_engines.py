@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import get_args
 
 import numpy as np
@@ -31,6 +33,13 @@ def test_an_engine_slides_and_is_pushed(spec: str) -> None:
     poses = laid.push(tip, np.zeros(3))
     assert -0.9 < poses[-1, 2] < -0.2
     assert poses[-1, 1] > 0.01
+
+
+def test_bullet_is_imported_without_a_word() -> None:
+    pytest.importorskip("pybullet")
+    script = "from slipmap.diagrams.application.bullet_bodies import import_bullet; import_bullet().DIRECT"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (said.stdout, said.stderr) == ("", "")
 
 
 def test_mujocos_defects_are_named() -> None:
