@@ -54,6 +54,7 @@ def test_fit_and_predict_with_an_effect_of_ones_own(slipmap, tilted_folder, own_
     assert "fan: blow_x 0.0" in said.out and "fan: blow_y" in said.out
     said = slipmap("predict", tilted_folder, "--belief", belief, "-o", tmp_path / "p.png")
     assert said.code == 2 and "'fan'" in said.err and "--effect-file" in said.err
+    assert "known=(*slipmap.LIBRARY" in said.err
     arguments = ("--belief", belief, "--effect-file", own_effect, "--json", numbers)
     said = slipmap("predict", tilted_folder, *arguments, "-o", tmp_path / "p.png")
     assert said.code == 0, said.err
