@@ -25,7 +25,7 @@ def check_output(path: Path, endings: Sequence[str] = ()) -> None:
         BadInput: a wrong ending, a missing or unwritable folder, a path that is a folder or a device, or `-`.
     """
     if str(path) == "-":
-        raise BadInput("cannot write to standard output, which has the words for people; name a file for -")
+        raise BadInput("cannot write to standard output, which is for people to read; name a file for -")
     if path.is_dir():
         raise BadInput(f"cannot write {path}: it is a folder; name a file in it")
     if endings and path.suffix.lower().lstrip(".") not in endings:
