@@ -33,7 +33,7 @@ PLACES = ("table", "rim_at_end", "over_rim")
 """Kinds of pushes: the table carries all cells before and after; not all after; not all before."""
 
 LEVELS = (0.5, 0.9, 0.95)
-TRIALS_A_BELIEF = 5  # trials that share one belief
+TRIALS_A_BELIEF = 2  # trials that share one belief, which decides how they go
 _VISITS = 2  # to the edge in a trial
 _BACK = (0.05, 0.12)  # m, how far a push is to move the object away from the edge
 _TURN = np.radians(40.0)  # rad, how far it is to turn the object at most
