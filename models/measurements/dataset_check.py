@@ -38,6 +38,7 @@ from slipmap.models.measurements.push_dataset import PushDataset, Trial
 from slipmap.models.measurements.trial_checks import (
     beyond_table,
     impossible,
+    never_near,
     seems_degrees,
     turns_like_degrees,
 )
@@ -469,6 +470,8 @@ def _table(dataset: PushDataset) -> list[Finding]:
 
 
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
+    if (away := never_near(dataset, dataset.trials)) is not None:
+        return [Finding("contact", away[0], "wrong", away[1])]
     if not rows:
         return [Finding("contact", "no finger comes within 1 m of the object", "note")]
     depth = np.array([one.depth for one in rows])

@@ -340,8 +340,10 @@ def test_a_constant_angle_in_degrees_blames_nothing_else():
 
 
 def test_a_finger_far_away_is_told_as_such():
-    check = changed(tipped(lambda tip: tip + 100.0))
+    check = changed(tipped(lambda tip: np.full_like(tip, 100.0)))
     assert finding(check, "contact").found == "no finger comes within 1 m of the object"
+    moved = finding(changed(tipped(lambda tip: tip + 100.0)), "contact")
+    assert moved.verdict == "wrong" and moved.advice.startswith("is the tip in m")
 
 
 def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong():
