@@ -36,6 +36,7 @@ from slipmap.models.measurements.importing.clocks import (
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
 from slipmap.models.measurements.trial_checks import (
+    IN_DEGREES,
     beyond_table,
     impossible,
     never_near,
@@ -275,6 +276,7 @@ def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
     An object that was spun and let go may turn like that, so only pushes with a finger are wrong.
     """
     found = []
+    if_so = next((text.partition(IN_DEGREES)[2] for text in dataset.warnings if IN_DEGREES in text), "")
     for what, told, advice in (
         (
             "jumps",
@@ -284,7 +286,7 @@ def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
         (
             "angles",
             lambda trial: trial.name in turned and seems_degrees(trial.object_pose.values),
-            "angles must be in rad; were these degrees?",
+            f"{IN_DEGREES[0].lower()}{IN_DEGREES[1:]}{if_so}",
         ),
     ):
         pushed = [trial for trial in dataset.trials if what == "jumps" or trial.finger_near(dataset.reach)]

@@ -72,6 +72,7 @@ _PULLS = (
 _NOT_NEAR = (
     "a resting object begins to move, but no finger comes within 1 m of its outline; is the tip given in m?"
 )
+IN_DEGREES = "Angles must be in rad; were these degrees?"
 _TABLE = "table.center and its size in dataset.yaml must be in m, in the frame of object_pose"
 _FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
 
@@ -465,7 +466,7 @@ def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str
 def _degrees(pose: Channel, where: str) -> list[str]:
     """Warning if raw theta seems to be in degrees."""
     said = seems_degrees(pose.values)
-    return [f"{where}, object_pose: {said}. Angles must be in rad; were these degrees?"] if said else []
+    return [f"{where}, object_pose: {said}. {IN_DEGREES}"] if said else []
 
 
 def seems_degrees(values: FloatArray) -> str:
