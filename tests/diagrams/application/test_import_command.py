@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,6 +111,17 @@ def test_a_guess_is_written_once(slipmap, lab):
     assert where.read_text() == written
     said = slipmap("import", lab / "push.csv", "--setup", where, "-o", lab / "pushes")
     assert said.code == 2 and "outline" in said.err and not (lab / "pushes").exists()
+
+
+def test_only_an_imported_dataset_is_replaced(slipmap, lab):
+    again = ("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
+    assert slipmap(*again).code == 0 and slipmap(*again).code == 0
+    imported = read_dataset(lab / "pushes")
+    write_dataset(replace(imported, provenance=()), lab / "pushes", overwrite=True)
+    before = (lab / "pushes" / "dataset.yaml").read_bytes()
+    said = slipmap(*again)
+    assert said.code == 2 and "not made by an import" in " ".join(said.err.split())
+    assert (lab / "pushes" / "dataset.yaml").read_bytes() == before
 
 
 def test_what_is_missing_is_said(slipmap, lab):
