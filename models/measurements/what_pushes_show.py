@@ -141,8 +141,9 @@ def quantities_shown(seen: Coverage) -> list[Told]:
         Told("friction arm", seen.turned > _TURNS, "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
-        Told("centre of mass, moment of inertia", inertia and seen.turned > _TURNS,
-             f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
+        # Under a finger's steady motion, however fast, friction outweighs inertia.
+        Told("centre of mass, moment of inertia", seen.coasting > 0 and seen.turned > _TURNS,
+             f"pushes that coast: {seen.coasting}, turned {np.degrees(seen.turned):.0f}° at most"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip

@@ -12,7 +12,7 @@ from slipmap.models.geometry import rotated
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Channel, DatasetError, Noise, Table, read_dataset, write_dataset
 from slipmap.models.measurements.dataset_check import check_dataset
-from slipmap.models.measurements.what_pushes_show import EFFECT_NEEDS
+from slipmap.models.measurements.what_pushes_show import EFFECT_NEEDS, quantities_shown
 
 
 def waited(trial):
@@ -253,6 +253,14 @@ def test_sliding_without_the_finger_is_coasting():
     dataset = straight_pushes(8)
     check = check_dataset(replace(dataset, trials=tuple(map(slides, dataset.trials))))
     assert check.coverage.coasting == 8
+
+
+@pytest.mark.parametrize(("coasting", "could"), [(0, False), (2, True)])
+def test_a_fast_finger_alone_shows_no_centre_of_mass(coasting, could):
+    seen = check_dataset(straight_pushes(8)).coverage
+    told = quantities_shown(replace(seen, fastest=0.15, turned=0.5, coasting=coasting))
+    (inertia,) = (one for one in told if one.name == "centre of mass, moment of inertia")
+    assert inertia.could is could and f"coast: {coasting}" in inertia.reason
 
 
 @pytest.mark.parametrize(
