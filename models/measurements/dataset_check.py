@@ -75,7 +75,7 @@ _SETUP = " (`clock` in a setup.yaml)"
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
-_SELDOM_LESS, _SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
+SELDOM_LESS, SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
 _NOISIER = 3.0  # times the declared noise
 _FEWEST_NOISY = 30  # rows of a track that show its noise
 _MOST_MOTION = 1.5  # times the scatter of every second row, of which more is motion
@@ -518,8 +518,8 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         weight = dataset.mass * dataset.gravity
         each = [np.hypot(*trial.channels["ft_wrench"].values[:, :2].T) for trial in forced]
         peak = float(np.median([one.max() for one in each]))
-        small = peak < _SELDOM_LESS * weight  # of taps, most rows hold no force
-        if small or pushing > _SELDOM_MORE * weight:
+        small = peak < SELDOM_LESS * weight  # of taps, most rows hold no force
+        if small or pushing > SELDOM_MORE * weight:
             size = peak if small else pushing
             share = size / weight
             text = (

@@ -255,10 +255,12 @@ def test_sliding_without_the_finger_is_coasting():
     assert check.coverage.coasting == 8
 
 
-@pytest.mark.parametrize(("coasting", "could"), [(0, False), (2, True)])
-def test_a_fast_finger_alone_shows_no_centre_of_mass(coasting, could):
+@pytest.mark.parametrize(
+    ("fastest", "coasting", "could"), [(0.15, 0, False), (0.15, 2, True), (0.25, 0, True)]
+)
+def test_a_centre_of_mass_shows_where_objects_coast_or_are_thrown(fastest, coasting, could):
     seen = check_dataset(straight_pushes(8)).coverage
-    told = quantities_shown(replace(seen, fastest=0.15, turned=0.5, coasting=coasting))
+    told = quantities_shown(replace(seen, fastest=fastest, turned=0.5, coasting=coasting))
     (inertia,) = (one for one in told if one.name == "centre of mass, moment of inertia")
     assert inertia.could is could and f"coast: {coasting}" in inertia.reason
 
