@@ -160,6 +160,9 @@ def test_the_page_names_every_key():
     page = PAGE.read_text(encoding="utf-8")
     with pytest.raises(DatasetError) as told:
         parse_import_setup({**yaml.safe_load(SETUPS[0]), "object_pose": {"?": 1}}, "s", "n")
+    unfilled = {"position": ["a", "b"], "angle": None}
+    with pytest.raises(DatasetError, match=r"object_pose\.angle: fill in the column"):
+        parse_import_setup({**yaml.safe_load(SETUPS[0]), "object_pose": unfilled}, "s", "n")
     known = re.search(r"known: (.*?)\)", str(told.value))[1].split(", ")
     assert len(known) > 10 and all(f"`{key}`" in page for key in known), known
     assert NOT_RUN not in page and len(SETUPS) > 8
