@@ -50,6 +50,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     AGREEMENT,
     AT_NOISE,
     CLEARLY_WORSE_GAIN,
+    FAR_FROM_FEW,
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
@@ -314,7 +315,9 @@ class Inquiry:
         if misfit is not None and outcome.verdict == "adequate":
             return outcomes.far_off(self.base, misfit)
         if misfit is not None and self.unseen is not None and outcome.best is self.base:
-            return outcomes.cannot_show_why(self.base, self.unseen, misfit)
+            # Few pushes leave the maps open, so that the right model misses others too, if not by as much.
+            if misfit > FAR_FROM_FEW or far_above_noise(self.misfit()) is not None:
+                return outcomes.cannot_show_why(self.base, self.unseen, misfit)
         if locked is None or typical_misfit(locked) > AT_NOISE or not self.only_a_trace or outcome.rivals:
             return outcome
         self.error = self.base.likelihood.error

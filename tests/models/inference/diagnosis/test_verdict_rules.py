@@ -240,6 +240,9 @@ def test_locked_pushes_missed_by_far_are_not_adequate(monkeypatch):
     said = inquiry.in_view_of(np.full(8, 15.0), blind)
     assert "by 15 times" in said.sentence and "3 pushes could not show why" in said.sentence
     assert inquiry.in_view_of(np.full(8, 1.5), blind) is blind
+    assert inquiry.in_view_of(np.full(8, 4.0), blind) is blind  # few pushes leave the maps open
+    inquiry.misfit = lambda: np.array([4.0])
+    assert "could not show why" in inquiry.in_view_of(np.full(8, 4.0), blind).sentence
 
 
 @pytest.mark.parametrize(("with_it", "most"), [(5.0, True), (30.0, False)])
