@@ -314,16 +314,10 @@ class Inquiry:
         misfit = far_above_noise(self.misfit() if locked is None else locked)
         if misfit is not None and outcome.verdict == "adequate":
             return outcomes.far_off(self.base, misfit)
-        if (
-            misfit is not None
-            and self.unseen is not None
-            and outcome.best is self.base
-            and (
-                # Few pushes leave the maps open, so that the right model misses others too, if not by as much.
-                misfit > FAR_FROM_FEW or far_above_noise(self.misfit()) is not None
-            )
-        ):
-            return outcomes.cannot_show_why(self.base, self.unseen, misfit)
+        if misfit is not None and self.unseen is not None and outcome.best is self.base:
+            # Few pushes leave the maps open, so that the right model misses others too, but by less.
+            far = misfit > FAR_FROM_FEW or far_above_noise(self.misfit()) is not None
+            return outcomes.cannot_show_why(self.base, self.unseen, misfit) if far else outcome
         if locked is None or typical_misfit(locked) > AT_NOISE or not self.only_a_trace or outcome.rivals:
             return outcome
         self.error = self.base.likelihood.error
