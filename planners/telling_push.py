@@ -56,6 +56,7 @@ _LEADING = 2  # effects that a robot tells apart if the verdict is undecided
 _LEADS = 2.0  # nats that such an effect must gain
 _FASTER = 1.5  # factor by which a proposed push may be faster or slower than any recorded one
 _DWELL = 0.5  # s for which the finger stops half-way
+_TOLD = 1.0  # standard deviations of the error below which models are predicted alike
 _APPROACH = 0.01  # m between finger and object at the start
 
 
@@ -88,9 +89,9 @@ def diagnose(
     )
     report = progress or silent
     report("planning the next push", 0, 1)
-    push = next_push(result, dataset, seed)
+    push, hopeless = _next_push(result, dataset, seed)
     report("planning the next push", 1, 1)
-    return replace(result, next_push=push)
+    return replace(result, next_push=push, hopeless=hopeless)
 
 
 def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
@@ -102,38 +103,54 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         seed: of the candidate pushes.
 
     Returns:
-        None if there is nothing to find out or no push can be made; else plain numbers, world frame, m and s:
+        None if there is nothing to find out, or if no push can be made or would tell; else plain numbers,
+        world frame, m and s:
         `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
         `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
         `length` from first touch to stop, `dwell` half-way (0 for none), `separates` (names), `separation` in
         standard deviations of the error model, and a `sentence` with all of this.
     """
+    return _next_push(diagnosis, dataset, seed)[0]
+
+
+def _next_push(
+    diagnosis: Diagnosis, dataset: PushDataset, seed: int
+) -> tuple[dict[str, Any] | None, str | None]:
+    """The push, or the models that no push like the recorded ones would tell apart, in words."""
     if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
-        return None
+        return None, None
     observations = diagnosis.base.likelihood.observations
     habits = habits_of(observations, dataset)
     rng = np.random.default_rng(seed)
     if diagnosis.verdict == "unknown":
-        return _worst_repeated(diagnosis, dataset, habits)
+        return _worst_repeated(diagnosis, dataset, habits), None
     question = _question(diagnosis, dataset, habits)
     rivals = question.rivals
     if not question.pairs:  # no effect could be refitted beside the model without
-        return None
+        return None, None
     try:
         # Fewer candidates if there are many models, to limit the time.
         count = _CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else _CANDIDATES
         mu_finger = float(Rival.of(diagnosis.base).maps.mu_finger[0])
         chosen = _instructions(dataset, habits, mu_finger, count, rng)
     except NoReachablePush:
-        return None
-    best, separation, predictions = _most_telling(question, chosen, diagnosis.coarseness)
-    if not separation > 0:
-        return None
-    names = [rival.name for rival in rivals]
+        return None, None
+    # Ends of an interval may be close: a push that narrows it is worth making.
+    least = 0.0 if diagnosis.verdict == "effect" else _TOLD
+    found = _most_telling(question, chosen, diagnosis.coarseness, least)
+    if found is None:
+        return None, question.words
+    best, separation, told = found
+    predictions = [predict(rival, [best.push(float(habits.pushes))]) for rival in told.rivals]
+    names = [rival.name for rival in told.rivals]
     if diagnosis.verdict == "undecided":
         names = names[1:]
     asked = best.to_json() | {"separates": names, "separation": separation}
-    return asked | {"sentence": _sentence(asked, dataset.grid, rivals, predictions, question.good_for)}
+    good_for = question.good_for
+    if alike := [rival.name for rival in rivals if rival.name not in [one.name for one in told.rivals]]:
+        *more, last = alike
+        good_for += f", but not {', '.join(more)}{' or ' * bool(more)}{last}"
+    return asked | {"sentence": _sentence(asked, dataset.grid, told.rivals, predictions, good_for)}, None
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
@@ -166,14 +183,24 @@ class Question:
     def told_by(self, pushes: Sequence[Push]) -> FloatArray:
         """(B,) separation of the pair that differs least, in standard deviations of the error model; 0 for
         pushes in which the finger slides off, unless it does so in all."""
+        return np.asarray(self.apart(pushes).min(axis=0))
+
+    def apart(self, pushes: Sequence[Push]) -> FloatArray:
+        """(pairs, B) the same for each of the pairs that count."""
         predicted = [predict(rival, pushes) for rival in self.rivals]
         apart = separations(
             predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows
         )
         place = {pair: k for k, pair in enumerate(combinations(range(len(self.rivals)), 2))}
-        apart = apart[[place[pair] for pair in self.pairs]].min(axis=0)
+        apart = apart[[place[pair] for pair in self.pairs]]
         kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
         return np.where(kept, apart, 0.0) if any(kept) else apart
+
+    def only(self, pairs: Sequence[tuple[int, int]]) -> Question:
+        """The question for some of the pairs, without models that are in none of them."""
+        left = sorted({k for pair in pairs for k in pair})
+        renamed = tuple((left.index(one), left.index(other)) for one, other in pairs)
+        return replace(self, rivals=tuple(self.rivals[k] for k in left), pairs=renamed)
 
 
 def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | None:
@@ -453,23 +480,31 @@ def _as_imagined(observation: Observation) -> Push:
 
 
 def _most_telling(
-    question: Question, proposals: Sequence[Instruction], coarseness: float
-) -> tuple[Instruction, float, list[Predictions]]:
-    """The best proposal, its separation, and the rivals' predictions for it.
+    question: Question, proposals: Sequence[Instruction], coarseness: float, least: float
+) -> tuple[Instruction, float, Question] | None:
+    """The best proposal, its separation, and the part of the question that it answers, whose models differ by
+    more than `least`; None if it would answer nothing.
 
-    Among the best few, the winner still separates the models best when the object is slightly misplaced.
+    Among the best few, the winner still separates the models best when the object is slightly misplaced. If
+    no push tells all pairs apart, only those count that a single push can tell apart.
     """
     order = float(question.habits.pushes)
-    score = question.told_by([proposal.push(order, coarseness=coarseness) for proposal in proposals])
+    apart = question.apart([proposal.push(order, coarseness=coarseness) for proposal in proposals])
+    told = apart > least
+    if not told.all(axis=0).any():
+        shown = told[:, int(told.sum(axis=0).argmax())]
+        if not shown.any():
+            return None
+        question = question.only([pair for pair, one in zip(question.pairs, shown, strict=True) if one])
+        apart = apart[shown]
+    score = apart.min(axis=0)
     finalists = np.argsort(-score, kind="stable")[:_FINALISTS]
     pushes = [
         proposals[i].push(order, shift, coarseness=coarseness) for i in finalists for shift in MISPLACED
     ]
     worst = question.told_by(pushes).reshape(len(finalists), -1).min(axis=1)
     winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
-    nominal = [proposals[winner].push(order)]
-    predictions = [predict(rival, nominal) for rival in question.rivals]
-    return proposals[winner], float(score[winner]), predictions
+    return proposals[winner], float(score[winner]), question
 
 
 def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:

@@ -273,7 +273,10 @@ def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
     except (EffectError, KeyboardInterrupt):
         raise
     except BaseException as error:  # sys.exit() would end the program silently
-        raise EffectError(f"effect {effect.name}: {method}() failed in {failure(error)}") from error
+        said = failure(error)
+        if isinstance(error, TypeError) and any(words in said for words in _OF_NUMPY):
+            said += ". Formulas are symbolic: use sympy.cos and the like, not those of numpy or math"
+        raise EffectError(f"effect {effect.name}: {method}() failed in {said}") from error
 
 
 def failure(error: BaseException) -> str:
@@ -303,5 +306,8 @@ _OF_MOTION = (
     "measured", "delay",
 )  # fmt: skip
 """Methods that change the motion of objects, or how it is measured."""
+
+_OF_NUMPY = ("loop of ufunc does not support", "Cannot convert expression to float")
+"""What functions of numpy and math say about symbols."""
 
 _LONGEST = 400  # characters kept of an error message from an effect's code

@@ -72,7 +72,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     ]
     if not classes:
         raise EffectError(
-            f"effect file {path}: it defines no effect; write a subclass of slipmap.models.effects.Effect"
+            f"effect file {path}: it defines no effect; write a subclass of Effect (`from slipmap import"
+            " Effect`)"
         )
     return tuple(_made(kind, path) for kind in classes)
 

@@ -42,6 +42,7 @@ from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
+from slipmap.models.measurements.dataset_check import SELDOM_LESS, SELDOM_MORE
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 
@@ -179,6 +180,10 @@ def quantities(
             who = "the pushes" if prior.known is None else "the known map and the pushes"
             measure = replace(measure, open=f"{prior.mass:.3g} kg were weighed, but {who} contradict this")
         reason = measure.shown if shown else _TOO_ALIKE if narrowed and alike else measure.open
+        if measure.name == "total friction" and shown and not measure.given and prior.mass:
+            share = value / (prior.mass * prior.slider.gravity)
+            if not SELDOM_LESS < share < SELDOM_MORE:
+                reason += f", but {share:.2g} times the weight: are force and mass in N and kg, and right?"
         if shown and measure.share and not measure.given:
             reason = _basis_of_shares({one.name for one in results if one.shown}) or reason
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
-from slipmap.models.measurements.trial_checks import trial_from_tables
+from slipmap.models.measurements.trial_checks import IN_DEGREES, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 
 CSV_ENDINGS = (".csv",)
@@ -35,6 +35,8 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "force_tau": TORQUES,
 }
 """Our column names, and the factors from the units that a column may have to SI."""
+
+_DEGREES = " If so, write `csv: {object_theta: {unit: deg}}` into the YAML file of --object"
 
 PUSH_COLUMN = "push_id"
 """Optional column that divides a file into its pushes."""
@@ -131,7 +133,7 @@ def read_csv_trials(
         tables = _channels({ours: values[rows] for ours, values in table.values.items()}, place, columns)
         trial, doubts = trial_from_tables(f"{name}#{push}" if push else name, role, tables, place)
         trials.append(trial)
-        warnings += doubts
+        warnings += [doubt + _DEGREES * doubt.endswith(IN_DEGREES) for doubt in doubts]
     return trials, warnings
 
 

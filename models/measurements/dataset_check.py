@@ -36,8 +36,10 @@ from slipmap.models.measurements.importing.clocks import (
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
 from slipmap.models.measurements.trial_checks import (
+    IN_DEGREES,
     beyond_table,
     impossible,
+    never_near,
     seems_degrees,
     turns_like_degrees,
 )
@@ -73,7 +75,7 @@ _SETUP = " (`clock` in a setup.yaml)"
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
-_SELDOM_LESS, _SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
+SELDOM_LESS, SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
 _NOISIER = 3.0  # times the declared noise
 _FEWEST_NOISY = 30  # rows of a track that show its noise
 _MOST_MOTION = 1.5  # times the scatter of every second row, of which more is motion
@@ -274,6 +276,7 @@ def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
     An object that was spun and let go may turn like that, so only pushes with a finger are wrong.
     """
     found = []
+    if_so = next((text.partition(IN_DEGREES)[2] for text in dataset.warnings if IN_DEGREES in text), "")
     for what, told, advice in (
         (
             "jumps",
@@ -283,7 +286,7 @@ def _jumps(dataset: PushDataset, turned: set[str]) -> list[Finding]:
         (
             "angles",
             lambda trial: trial.name in turned and seems_degrees(trial.object_pose.values),
-            "angles must be in rad; were these degrees?",
+            f"{IN_DEGREES[0].lower()}{IN_DEGREES[1:]}{if_so}",
         ),
     ):
         pushed = [trial for trial in dataset.trials if what == "jumps" or trial.finger_near(dataset.reach)]
@@ -469,6 +472,8 @@ def _table(dataset: PushDataset) -> list[Finding]:
 
 
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
+    if (away := never_near(dataset, dataset.trials)) is not None:
+        return [Finding("contact", away[0], "wrong", away[1])]
     if not rows:
         return [Finding("contact", "no finger comes within 1 m of the object", "note")]
     depth = np.array([one.depth for one in rows])
@@ -513,8 +518,8 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         weight = dataset.mass * dataset.gravity
         each = [np.hypot(*trial.channels["ft_wrench"].values[:, :2].T) for trial in forced]
         peak = float(np.median([one.max() for one in each]))
-        small = peak < _SELDOM_LESS * weight  # of taps, most rows hold no force
-        if small or pushing > _SELDOM_MORE * weight:
+        small = peak < SELDOM_LESS * weight  # of taps, most rows hold no force
+        if small or pushing > SELDOM_MORE * weight:
             size = peak if small else pushing
             share = size / weight
             text = (

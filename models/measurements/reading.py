@@ -29,7 +29,7 @@ from slipmap.models.measurements.push_dataset import (
 )
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
-from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
+from slipmap.models.measurements.trial_checks import IN_DEGREES, check_trials, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.progress import StageProgress
 from slipmap.models.settings import check_kind, check_whole
@@ -311,14 +311,17 @@ def _gathered(found: Sequence[tuple[str, str, str]]) -> list[str]:
     kinds: dict[str, list[tuple[str, str, str]]] = {}
     for path, name, doubt in found:
         place, _, fault = doubt.removeprefix(path).partition(": ")
-        kinds.setdefault(fault, []).append((name + place, fault, doubt))
+        # Every angle in degrees has numbers of its own; those of the first are enough.
+        kind = IN_DEGREES if IN_DEGREES in fault else fault
+        kinds.setdefault(kind, []).append((name + place, fault, doubt))
     texts = []
     for alike in kinds.values():
         if len(alike) == 1:
             texts.append(alike[0][2])
         else:
             more = f" and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
-            texts.append(f"{'; '.join(place for place, _, _ in alike[:_MOST_NAMED])}{more}: {alike[0][1]}")
+            fault = alike[0][1].replace(f". {IN_DEGREES}", f", in the first. {IN_DEGREES}")
+            texts.append(f"{'; '.join(place for place, _, _ in alike[:_MOST_NAMED])}{more}: {fault}")
     return texts
 
 

@@ -59,6 +59,7 @@ _FEWEST_TRIALS = 5  # if there are at least this many
 _ALONE = 1.5  # times as deep, or as far away, as the other pushes
 _NEVER_NEAR = 0.03  # m of air that no wrong outline, finger or clock explains
 _UNSEEN = 0.15  # s between rows in which a finger may come and go
+_MANY_LENGTHS = 5.0  # of the outline, travelled in a push; beyond, a unit of length is wrong
 _FAR, _TIMES_FARTHER = 3.0, 50.0  # m, and times the others' median, that no object is pushed
 _RIM_ERROR = 0.01  # m by which the rim, or the outline there, may be off
 _LEAST_SUPPORT = 0.05  # of the outline's area, without which nothing stands
@@ -68,6 +69,10 @@ _PULLS = (
     "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
     " on the object; is its sign reversed?"
 )
+_NOT_NEAR = (
+    "a resting object begins to move, but no finger comes within 1 m of its outline; is the tip given in m?"
+)
+IN_DEGREES = "Angles must be in rad; were these degrees?"
 _TABLE = "table.center and its size in dataset.yaml must be in m, in the frame of object_pose"
 _FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
 
@@ -173,6 +178,9 @@ def check_trials(
     if complaint is not None:
         found.pop(_PULLS, None)  # the complaint is its cause
         told.append(f"{where}: {complaint}")
+    if (away := never_near(setup, chosen)) is not None:
+        found.pop(_NOT_NEAR, None)  # the same, push by push
+        told.append(f"{where}: {'; '.join(away)}")
     warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
     chosen = [trial for trial in chosen if trial.name not in odd]
     if (off := beyond_table(setup, chosen)[0]) is not None:
@@ -187,13 +195,39 @@ def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
     return force_complaint(setup, contact_rows(setup, trials)) is not None
 
 
-def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
-    """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn, or that the
-    outline is mirrored; else None.
+def never_near(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
+    """What is odd, and what to do, if objects and fingers move but no finger comes within 1 m; else None.
 
-    The finger then goes into the object in at least half of the pushes, and would not if this were corrected.
-    No effect explains this.
+    Lengths in cm or inches look like this. A finger that does not move, or is not given, may be absent.
     """
+    if any(trial.finger_near(setup.reach) for trial in trials):
+        return None
+    both = [
+        trial
+        for trial in trials
+        if _moved(setup, trial) and np.ptp(trial.tip_pose.values, axis=0).max() > _NOTABLE_MOTION
+    ]
+    if len(both) <= len(trials) / 2:
+        return None
+    way = float(np.median([np.max(_ways(trial)) for trial in both]))
+    lengths = way / float(np.hypot(*np.ptp(setup.grid.exterior, axis=0)))
+    found = "no finger comes within 1 m of the object in any push, though both move"
+    asked = "is the tip in m, and in the frame of object_pose?"
+    if lengths > _MANY_LENGTHS:
+        found += f", the object by a median of {_length_text(way)}, {lengths:.0f} lengths of its outline"
+        asked = "are positions in m?"
+    return found, f"{asked} If no finger pushed, import with `tip_pose: null`"
+
+
+def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
+    """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn, that the
+    outline is mirrored, or that no finger comes near; else None.
+
+    In the first cases the finger goes into the object in at least half of the pushes, and would not if this
+    were corrected. No effect explains this.
+    """
+    if (away := never_near(setup, trials)) is not None:
+        return "; ".join(away)
     seen = contact_rows(setup, trials)
     deep = [rows for rows in seen if _too_deep(rows)]
     cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
@@ -432,7 +466,7 @@ def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str
 def _degrees(pose: Channel, where: str) -> list[str]:
     """Warning if raw theta seems to be in degrees."""
     said = seems_degrees(pose.values)
-    return [f"{where}, object_pose: {said}. Angles must be in rad; were these degrees?"] if said else []
+    return [f"{where}, object_pose: {said}. {IN_DEGREES}"] if said else []
 
 
 def seems_degrees(values: FloatArray) -> str:
@@ -550,10 +584,7 @@ def _untouched(setup: Setup, trial: Trial) -> str | None:
     if not _moved(setup, trial) or trial.initial_velocity().any():
         return None
     if not trial.finger_near(setup.reach):
-        return (
-            "a resting object begins to move, but no finger comes within 1 m of its outline; is the tip given"
-            " in m?"
-        )
+        return _NOT_NEAR
     if len(trial.tip_pose.time) == 1:
         return (
             "a resting object begins to move, but tip_pose has only one row, and a finger that does not move"

@@ -18,7 +18,8 @@ _OCTANTS = 8
 _COASTS = 5e-3  # m that an object moves without the finger
 _AWAY = 2e-3  # m
 _STILL = 5.0  # standard deviations of a position that are no motion
-_FAST = 0.1  # m/s above which inertia shows
+_FAST = 0.1  # m/s above which total inertia shows beside a measured force,
+_THROWN = 0.2  # and its distribution, though the object does not coast
 _TURNS, _TURNS_FAR = float(np.radians(10.0)), float(np.radians(30.0))
 _SPEEDS = 2.0  # ratio from which speeds count as different
 
@@ -141,7 +142,8 @@ def quantities_shown(seen: Coverage) -> list[Told]:
         Told("friction arm", seen.turned > _TURNS, "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
-        Told("centre of mass, moment of inertia", inertia and seen.turned > _TURNS,
+        Told("centre of mass, moment of inertia",
+             (seen.coasting > 0 or seen.fastest > _THROWN) and seen.turned > _TURNS,
              f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),

@@ -17,6 +17,9 @@ from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_
 from slipmap.models.measurements.setup_description import setup_document
 from slipmap.models.physics.cell_grid import CellGrid
 
+IMPORTED = "imported from "
+"""Start of the sentence of provenance with which every imported dataset begins."""
+
 
 def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write `dataset` so that reading it gives the same numbers to the last bit.
@@ -83,6 +86,13 @@ def is_replaced(target: Path, overwrite: bool) -> bool:
             f"{target}: {foreign[0]} is not part of the dataset there and would be lost; move it away first"
         )
     return True
+
+
+def is_imported(folder: Path) -> bool:
+    """Whether the dataset in a folder says that it was imported, so that importing again restores it."""
+    where = folder / DESCRIPTION_FILE
+    told = read_yaml(where, str(where))[1].get("provenance")
+    return isinstance(told, list) and any(str(one).startswith(IMPORTED) for one in told)
 
 
 def _write_files(dataset: PushDataset, folder: Path) -> None:

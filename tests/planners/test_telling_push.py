@@ -231,6 +231,34 @@ def test_one_effect_is_pinned_down_at_the_ends_of_its_interval(world: World) -> 
     ]
 
 
+def test_a_push_claims_only_what_it_tells(world: World, monkeypatch) -> None:
+    """Of three models, two are predicted alike, or all are."""
+    tilt, tether = (
+        world.model("table_tilt", (0.06, 0.0)),
+        world.model("tether", (1.0, 0.2, 0.0, 0.0, 0.0, 0.0)),
+    )
+    diagnosis = world.diagnosis("ambiguous", [tilt, tether])
+    whole = telling_push.Question.apart
+    monkeypatch.setattr(telling_push, "_CANDIDATES", 30)
+    monkeypatch.setattr(telling_push.Question, "apart", lambda *one: np.minimum(whole(*one), 0.9))
+    assert next_push(diagnosis, world.dataset) is None
+    planned = telling_push._next_push(diagnosis, world.dataset, 0)
+    assert planned == (None, "table_tilt from tether")
+
+    def one_hidden(question, pushes):
+        found = whole(question, pushes)
+        return (
+            np.where(np.arange(len(found))[:, None] == 0, 0.1, found) if len(question.rivals) > 3 else found
+        )
+
+    monkeypatch.setattr(telling_push.Question, "apart", one_hidden)
+    undecided = world.diagnosis("undecided", [])
+    hidden, *others = [rival.name for rival in rivals_of(undecided, world.dataset)][1:]
+    told = next_push(undecided, world.dataset)
+    assert hidden not in told["separates"] and set(told["separates"]) <= set(others)
+    assert told["separation"] > 1.0 and f"but not {hidden}" in told["sentence"]
+
+
 def test_undecided_shows_what_is_hardly_seen(world: World) -> None:
     told = next_push(world.diagnosis("undecided", []), world.dataset)
     assert told is not None

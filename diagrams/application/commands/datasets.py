@@ -167,7 +167,7 @@ def import_files(
     """
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.importing import guess_setup, import_dataset
-    from slipmap.models.measurements.writing import is_replaced
+    from slipmap.models.measurements.writing import is_imported, is_replaced
 
     if guess:
         if setup.exists():
@@ -190,7 +190,11 @@ def import_files(
                 f"{source}: name a setup with --setup (default: setup.yaml), not among the sources"
             )
     check_folder(output.absolute().parent, output)
-    is_replaced(output.resolve(), overwrite=True)
+    if is_replaced(output.resolve(), overwrite=True) and not is_imported(output):
+        raise BadInput(
+            f"{output}: the push dataset here was not made by an import, so it is not replaced; name another"
+            " folder with -o, or move this one away"
+        )
     with Progress() as progress:
         dataset = import_dataset(
             sources,

@@ -62,7 +62,10 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     """
     first = comparisons[0]
     learned = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
-    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learned}; seed {first.seed}"
+    count = len(first.pushes)
+    subtitle = (
+        f"{count} measured push{'es' * (count != 1)} of {len(dataset.grid)} cells{learned}; seed {first.seed}"
+    )
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model and measurement"
     last = comparisons[-1]
@@ -149,9 +152,11 @@ def _floor(comparison: Comparison) -> str:
             " none was repeated."
         )
     elif floor.source == "repeats":
+        groups = len(floor.groups)
+        means = f"means of their {groups} groups of repeats" if groups > 1 else "mean of all as repeats"
         text = (
             f"Noise floor {words.millimetres(floor.add)} mm: mean ADD between {floor.repeats} pushes and the"
-            f" means of their {len(floor.groups)} groups of repeats (same start relative to the object, same"
+            f" {means} (same start relative to the object, same"
             " finger path)."
         )
     else:
@@ -357,8 +362,9 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
     marked = [pattern.significant for pattern in comparison.structure]
     columns = ["error in", "depends on", "mostly", "size (95 % interval)", "p, this test", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
+    count = max((pattern.pushes for pattern in comparison.structure), default=0)
     caption = (
-        f"{head}{len(rows)} tests over {max((p.pushes for p in comparison.structure), default=0)} pushes,"
+        f"{head}{len(rows)} tests over {count} push{'es' * (count != 1)},"
         " each push counting once; marked where p, corrected for all tests, is below 5 %."
     )
     most = max(6, sum(marked))

@@ -110,9 +110,11 @@ def no_better_than_uniform(comparison: Comparison) -> str:
     if floor is None or not (ours > MANY_TIMES * floor.add and ours > NO_BETTER * uniform):
         return ""
     which = "Held-out pushes" if role == "heldout" else "Pushes"
+    ratio = f"{ours / max(uniform, 1e-9):.2g}"
+    beside = "as much as" if ratio == "1" else f"{ratio} times the error of"
     return (
         f"{which} end {millimetres(ours)} mm off: {ours / max(floor.add, 1e-9):.0f} times what"
-        f" {_NOISE[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object,"
+        f" {_NOISE[floor.source]}, and {beside} a uniform object,"
         " so the maps explain none of it. The model is wrong."
     )
 
@@ -170,9 +172,9 @@ def summary_of_two(before: Comparison, after: Comparison) -> str:
     """The errors of two models over the same pushes, in two sentences."""
     role, totals = judged(before)
     ours, theirs = totals.model, after.totals[role].model
-    which = "held-out" if role == "heldout" else "fit"
+    pushes = _pushes(totals.pushes, "held-out " if role == "heldout" else "fit ")
     return (
-        f"On {totals.pushes} {which} pushes, the model “{before.label}” ends {millimetres(ours.final_add)} mm"
+        f"On {pushes}, the model “{before.label}” ends {millimetres(ours.final_add)} mm"
         f" from the measured pose on average, the model “{after.label}” {millimetres(theirs.final_add)} mm"
         " (ADD: mean distance between the object's predicted and measured points); averaged along the path,"
         f" it is {millimetres(ours.mean_add)} and {millimetres(theirs.mean_add)} mm. A uniform object ends"
@@ -189,8 +191,8 @@ def finding(comparison: Comparison) -> str:
             tests = len(comparison.structure)
             most = max((pattern.pushes for pattern in comparison.structure), default=0)
             return (
-                f"{_pushes(most)} cannot show whether the remaining error has a pattern: {tests} tests need"
-                f" at least {pushes_needed(tests)} pushes."
+                f"{_pushes(most).capitalize()} cannot show whether the remaining error has a pattern: {tests}"
+                f" tests need at least {pushes_needed(tests)} pushes."
             )
         text = "The remaining error shows no significant pattern above the negligible size"
         if warning(comparison):
@@ -307,5 +309,5 @@ def millimetres(metres: float) -> str:
     return "–" if not math.isfinite(value) else f"{value:.2f}" if value < 1 else f"{value:.1f}"
 
 
-def _pushes(count: int) -> str:
-    return "one push" if count == 1 else f"{count} pushes"
+def _pushes(count: int, kind: str = "") -> str:
+    return f"one {kind}push" if count == 1 else f"{count} {kind}pushes"

@@ -60,6 +60,15 @@ def nothing_visible(base: Fitted, pushes: str) -> Outcome:
     return Outcome("undecided", sentence, base)
 
 
+def cannot_show_why(base: Fitted, pushes: str, misfit: float) -> Outcome:
+    """Predictions are far off, but these pushes would not reveal most effects; `misfit` as for `far_off`."""
+    sentence = (
+        f"The model is far off: it misses pushes by {misfit:.0f} times the sensor noise. But {pushes} could"
+        " not show why, since most effects would not be revealed."
+    )
+    return Outcome("undecided", sentence, base)
+
+
 def scatter(base: Fitted) -> Outcome:
     """The model error is large, and no effect explains it."""
     error = base.likelihood.error.motion

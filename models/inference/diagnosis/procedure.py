@@ -50,6 +50,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     AGREEMENT,
     AT_NOISE,
     CLEARLY_WORSE_GAIN,
+    FAR_FROM_FEW,
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
@@ -220,6 +221,7 @@ class Inquiry:
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
         self.faint = self.only_a_trace = False
+        self.unseen: str | None = None  # pushes that show too little, in words
         self.first: Screening
         self.p_value: float | None = None
 
@@ -312,6 +314,10 @@ class Inquiry:
         misfit = far_above_noise(self.misfit() if locked is None else locked)
         if misfit is not None and outcome.verdict == "adequate":
             return outcomes.far_off(self.base, misfit)
+        if misfit is not None and self.unseen is not None and outcome.best is self.base:
+            # Few pushes leave the maps open, so that the right model misses others too, but by less.
+            far = misfit > FAR_FROM_FEW or far_above_noise(self.misfit()) is not None
+            return outcomes.cannot_show_why(self.base, self.unseen, misfit) if far else outcome
         if locked is None or typical_misfit(locked) > AT_NOISE or not self.only_a_trace or outcome.rivals:
             return outcome
         self.error = self.base.likelihood.error
@@ -335,10 +341,11 @@ class Inquiry:
         different = pushes - sum(len(group) - 1 for group in repeated_pushes(self.fitter.observations))
         if different < FEWEST_PUSHES:
             what = "one push" if different == 1 else f"{different} pushes"
-            few = what if different == pushes else f"repeats of {what}"
-            return outcomes.nothing_visible(self.base, few)
-        if self.rules.blind(self.first):
-            return outcomes.nothing_visible(self.base, "these pushes")
+            self.unseen = what if different == pushes else f"repeats of {what}"
+        elif self.rules.blind(self.first):
+            self.unseen = "these pushes"
+        if self.unseen is not None:
+            return outcomes.nothing_visible(self.base, self.unseen)
         if self.error.motion > ROUGH:
             return outcomes.scatter(self.base)
         return outcomes.nothing_missing(self.base)

@@ -94,6 +94,7 @@ class Diagnosis(Outcome):
     seed: int  # of all random draws
     # the push to make next as plain numbers, filled in by a planner; None where it would decide nothing
     next_push: dict[str, object] | None = field(default=None)
+    hopeless: str | None = None  # models that no push like the recorded ones would tell apart, in words
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.verdict}: {self.sentence})"
@@ -155,6 +156,11 @@ class Diagnosis(Outcome):
             push = (
                 "record the proposed push and add it with `role: fit` (imported files: list those to hold out"
                 " under `heldout` in the setup.yaml, and import all again)"
+            )
+        elif self.hopeless is not None:
+            push = (
+                f"no push like those made so far would tell {self.hopeless}; {push}, faster or slower, longer"
+                " or elsewhere"
             )
         if self.quick and self.verdict != "adequate":
             return f"run {again} without --quick to learn how certain this is."

@@ -50,6 +50,10 @@ _FAR_ABOVE_NOISE = 3.0
 """Misfit of the typical push, in units of sensor noise, above which no model is adequate. The typical
 push is taken so that one that starts near balance does not decide. With nothing hidden it is 1.0 to 1.6."""
 
+FAR_FROM_FEW = 10.0
+"""The same for locked pushes where the open ones may leave the maps open. With three open pushes and nothing
+hidden it was 3.4."""
+
 AT_NOISE = 1.25
 """Misfit of the typical locked push up to which a model explains the data, whatever gains a little. With weak
 hidden effects in three blind sets it was 1.3, 2.0 and 3.8."""

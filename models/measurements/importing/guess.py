@@ -18,11 +18,16 @@ from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.push_dataset import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
+_NO_NAMES = (
+    "Do the columns have names? If not, write the setup by hand with columns numbered from 0, as"
+    " docs/import.md shows"
+)
 _FINGER = ("tip", "finger", "tcp", "tool", "pusher", "effector", "ee_", "eef", "robot", "probe", "flange")
 _OBJECT = ("object", "obj", "block", "body", "vicon", "marker", "tag", "slider", "box", "item")
 _FORCE = ("force", "wrench", "ft", "netft", "load")
 _ANGLES = ("theta", "yaw", "angle", "heading", "phi", "rz")
 _MILLIMETRES = 5.0  # above which no position on a table is in m
+_MANY_MILLIMETRES = 200.0  # over which pushes usually spread, so that less may be in cm
 _FULL_TURN = 6.6  # rad
 _FLAT = 0.2  # share of the range of other axes in which a height varies
 _SLOWEST = 0.5  # s from row to row; no sensor is slower
@@ -87,7 +92,7 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
         listed = "; ".join(one.source.listed for one in found[:3])
         raise DatasetError(
             f"{', '.join(files)}: nothing looks like an object's pose, which is x and y with an angle or a"
-            f" quaternion. {listed or 'Do the columns have names?'}"
+            f" quaternion. {listed or _NO_NAMES}"
         )
     if finger is None:
         finger = _farthest([one for one in places if one is not pose])
@@ -252,7 +257,7 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
     force = name == "ft_wrench"
     known = one.values[np.isfinite(one.values).all(axis=1)]
     named = {"force" if force else "position": _unit(one.columns[0], "force" if force else "position")}
-    sizes = {}
+    sizes, or_cm = {}, ""
     if len(time) == 1:
         named["time"] = _unit(time[0], "time")
         try:
@@ -264,6 +269,9 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
             sizes["time"] = "ms"
     if not force and one.source.length == "m" and np.ptp(known, axis=0).max(initial=0.0) > _MILLIMETRES:
         sizes["position"] = "mm"
+        # No travel tells cm from mm without the outline; small numbers leave both open.
+        if np.ptp(known, axis=0).max() < _MANY_MILLIMETRES:
+            or_cm = " (or cm?)"
     if name == "object_pose" and one.turn is not None and one.turn[0] == "angle":
         named["angle"] = _unit(one.turn[1][0], "angle")
         angle = one.source.numbers(one.turn[1][0])
@@ -278,7 +286,8 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
     lines = []
     if units:
         said = ", ".join(f"{kind}: {unit}" for kind, unit in units.items())
-        by = [words for words, group in (("names", named), ("the size of the numbers", sizes.keys() - named))
+        of_size = f"the size of the numbers{or_cm * ('position' not in named)}"
+        by = [words for words, group in (("names", named), (of_size, sizes.keys() - named))
               if units.keys() & group]  # fmt: skip
         lines.append(f"  unit: {{{said}}}  # by {' and '.join(by)}")
     return lines

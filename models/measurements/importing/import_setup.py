@@ -193,6 +193,8 @@ def _name(value: object, where: str) -> str:
     """The name of a file, part or column; a column may be a number."""
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return str(value)
+    if value is None:
+        raise DatasetError(f"{where}: fill in the column, by its name or its number from 0")
     return parsing.text(value, where)
 
 

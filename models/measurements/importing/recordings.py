@@ -45,6 +45,7 @@ from slipmap.models.measurements.push_dataset import (
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial_checks import check_trials, refuse_long, trial_from_tables
+from slipmap.models.measurements.writing import IMPORTED
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
@@ -138,7 +139,7 @@ def import_dataset(
     trials = _with_roles([trial for one in read.values() for trial in one.trials], said.heldout, where)
     kept, doubts = check_trials(said.setup, in_order(trials), where)
     provenance = (
-        f"imported from {parsing.listed(list(files))}",
+        f"{IMPORTED}{parsing.listed(list(files))}",
         *(
             step if len(labels) == parts else f"{parsing.listed(labels)}: {step}"
             for step, labels in done.items()

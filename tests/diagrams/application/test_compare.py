@@ -146,6 +146,8 @@ def test_few_pushes_are_told_as_such(learned):
     _, _, result = learned
     assert not result.testable
     assert "4 pushes cannot show whether" in finding(result)
+    alone = tuple(replace(pattern, pushes=1) for pattern in result.structure)
+    assert finding(replace(result, structure=alone)).startswith("One push cannot show whether")
     assert f"at least {pushes_needed(len(result.structure))}" in finding(result)
     assert pushes_needed(20) == 10  # 20 tests × 2/2^10 is the first below 5 %
 
@@ -161,7 +163,7 @@ def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_tol
     wrong = replace(totals, model=errors, uniform=even)
     bad = replace(result, structure=quiet, totals={**result.totals, "heldout": wrong})
     said = warning(bad, "demo/pushes")
-    assert "23 times what sensor noise alone explains, and 1 times the error of a uniform object" in said
+    assert "23 times what sensor noise alone explains, and as much as a uniform object" in said
     guessed = replace(bad, floor=replace(floor, source="estimated noise"))
     assert "23 times what the estimated sensor noise alone explains" in warning(guessed)
     assert said.endswith("diagnose demo/pushes` searches for the physical effect that the model misses.")

@@ -99,7 +99,8 @@ def test_a_slip_of_the_pen_in_a_name(slipmap, tilted_folder, tmp_path, command):
     ("text", "problem"),
     [
         ("x = (", "line 1"),
-        ("x = 1", "defines no effect"),
+        ("x = 1", "from slipmap import Effect"),
+        ("import math\n" + OWN_EFFECT.replace("body.weight", "math.cos(body.weight)"), "use sympy.cos"),
         (OWN_EFFECT.replace("body.weight", "body.nothing"), "nothing"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,17 @@ def test_a_guess_is_written_once(slipmap, lab):
     assert said.code == 2 and "outline" in said.err and not (lab / "pushes").exists()
 
 
+def test_only_an_imported_dataset_is_replaced(slipmap, lab):
+    again = ("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
+    assert slipmap(*again).code == 0 and slipmap(*again).code == 0
+    imported = read_dataset(lab / "pushes")
+    write_dataset(replace(imported, provenance=()), lab / "pushes", overwrite=True)
+    before = (lab / "pushes" / "dataset.yaml").read_bytes()
+    said = slipmap(*again)
+    assert said.code == 2 and "not made by an import" in " ".join(said.err.split())
+    assert (lab / "pushes" / "dataset.yaml").read_bytes() == before
+
+
 def test_what_is_missing_is_said(slipmap, lab):
     said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml")
     assert said.code == 2 and "-o DATASET" in said.err
@@ -148,6 +160,9 @@ def test_the_page_names_every_key():
     page = PAGE.read_text(encoding="utf-8")
     with pytest.raises(DatasetError) as told:
         parse_import_setup({**yaml.safe_load(SETUPS[0]), "object_pose": {"?": 1}}, "s", "n")
+    unfilled = {"position": ["a", "b"], "angle": None}
+    with pytest.raises(DatasetError, match=r"object_pose\.angle: fill in the column"):
+        parse_import_setup({**yaml.safe_load(SETUPS[0]), "object_pose": unfilled}, "s", "n")
     known = re.search(r"known: (.*?)\)", str(told.value))[1].split(", ")
     assert len(known) > 10 and all(f"`{key}`" in page for key in known), known
     assert NOT_RUN not in page and len(SETUPS) > 8

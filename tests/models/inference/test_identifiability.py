@@ -72,6 +72,13 @@ def test_a_weight_that_the_pushes_contradict_is_not_shown():
     assert not total.shown and "kg were weighed, but the pushes contradict this" in total.reason
 
 
+def test_a_friction_that_is_odd_for_the_weight_is_doubted_where_it_stands():
+    dataset, mass = pushed(0.3, (0.03, 0.05))
+    assert "weight" not in learned(replace(dataset, mass=mass))["total friction"].reason
+    heavy = learned(replace(dataset, mass=10.0 * mass))["total friction"]
+    assert heavy.shown and "0.031 times the weight: are force and mass in N and kg" in heavy.reason
+
+
 @pytest.mark.parametrize(
     ("speed", "known", "shown"),
     [((0.03, 0.1), False, False), ((0.03, 0.1), True, True), ((0.25, 0.6), False, True)],

@@ -17,6 +17,15 @@ def same(trial):
     return trial
 
 
+def in_unit(metres):
+    def of(trial):
+        pose, tip = trial.object_pose.values, trial.tip_pose.values
+        longer = posed(lambda _: pose / [metres, metres, 1.0])(trial)
+        return tipped(lambda _: tip / metres)(longer)
+
+    return of
+
+
 def late(seconds):
     return lambda trial: replace(
         trial, object_pose=Channel(trial.object_pose.time + seconds, trial.object_pose.values)
@@ -64,6 +73,10 @@ def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words)
         (posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])), "rotated by"),
         (tipped(lambda tip: np.add(tip, [0.006, -0.003])), None),
         (posed(lambda pose: pose), None),
+        (in_unit(0.01), "of its outline; are positions in m?"),
+        (in_unit(0.0254), "of its outline; are positions in m?"),
+        (tipped(lambda tip: np.add(np.multiply(tip, 1e3), 1e4)), "is the tip in m"),
+        (tipped(lambda tip: np.full_like(tip, 9.0)), None),
     ],
 )
 def test_a_frame_that_no_effect_can_mend_is_told(tmp_path, change, words):

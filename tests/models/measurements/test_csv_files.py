@@ -175,6 +175,18 @@ def test_a_push_that_a_file_holds_twice_is_told(tmp_path):
     assert len(dataset.trials) == 2 and "push.csv#b holds the same measurement as push.csv#a" in warning
 
 
+def test_angles_in_degrees_are_told_once_for_all_pushes_with_the_key_that_says_so(tmp_path):
+    rows = []
+    for push in range(4):
+        for t, *cells in (row.split(",") for row in lines(push)):
+            turned = f"{(push + 90.0) * float(cells[0]) + 40.0 * push:.2f}" if cells[0] else ""
+            rows.append(",".join([str(push), t, *cells[:2], turned, *cells[3:]]))
+    told = read_dataset(write(tmp_path, rows, "push_id," + HEADER), object_name="rect1").warnings
+    (degrees,) = (warning for warning in told if "degrees?" in warning)
+    assert "push_id 1, object_pose; push.csv, push_id 2" in degrees and "in the first" in degrees
+    assert degrees.endswith("`csv: {object_theta: {unit: deg}}` into the YAML file of --object")
+
+
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"t,object_x\x00\n", b'"' + b"x" * 200_000, b"\n\n"])
 def test_bytes_that_are_no_csv(tmp_path, content):
     (tmp_path / "push.csv").write_bytes(content)

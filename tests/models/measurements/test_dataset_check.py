@@ -12,7 +12,7 @@ from slipmap.models.geometry import rotated
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Channel, DatasetError, Noise, Table, read_dataset, write_dataset
 from slipmap.models.measurements.dataset_check import check_dataset
-from slipmap.models.measurements.what_pushes_show import EFFECT_NEEDS
+from slipmap.models.measurements.what_pushes_show import EFFECT_NEEDS, quantities_shown
 
 
 def waited(trial):
@@ -256,6 +256,16 @@ def test_sliding_without_the_finger_is_coasting():
 
 
 @pytest.mark.parametrize(
+    ("fastest", "coasting", "could"), [(0.15, 0, False), (0.15, 2, True), (0.25, 0, True)]
+)
+def test_a_centre_of_mass_shows_where_objects_coast_or_are_thrown(fastest, coasting, could):
+    seen = check_dataset(straight_pushes(8)).coverage
+    told = quantities_shown(replace(seen, fastest=fastest, turned=0.5, coasting=coasting))
+    (inertia,) = (one for one in told if one.name == "centre of mass, moment of inertia")
+    assert inertia.could is could and f"coast: {coasting}" in inertia.reason
+
+
+@pytest.mark.parametrize(
     ("declared", "advice"), [(None, "rounded on export"), (1e-4, "0.00029 m or more"), (5e-4, "export")]
 )
 def test_rounded_poses_are_told(declared, advice):
@@ -340,8 +350,10 @@ def test_a_constant_angle_in_degrees_blames_nothing_else():
 
 
 def test_a_finger_far_away_is_told_as_such():
-    check = changed(tipped(lambda tip: tip + 100.0))
+    check = changed(tipped(lambda tip: np.full_like(tip, 100.0)))
     assert finding(check, "contact").found == "no finger comes within 1 m of the object"
+    moved = finding(changed(tipped(lambda tip: tip + 100.0)), "contact")
+    assert moved.verdict == "wrong" and moved.advice.startswith("is the tip in m")
 
 
 def test_the_force_at_rest_is_that_before_the_finger_moves_if_frames_are_wrong():

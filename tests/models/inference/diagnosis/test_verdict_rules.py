@@ -185,7 +185,7 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
         "_nothing_found": lambda: outcomes.nothing_missing(None),
         "fitter": None, "base": base, "effects": (), "scene": None, "draws": 0, "report": print,
         "fault": fault,
-        "accepted": [], "only_a_trace": False, "_ask_every_effect": lambda: first,
+        "accepted": [], "unseen": None, "only_a_trace": False, "_ask_every_effect": lambda: first,
         "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]), "left": {},
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
@@ -235,6 +235,14 @@ def test_locked_pushes_missed_by_far_are_not_adequate(monkeypatch):
     inquiry = made_inquiry(monkeypatch, 15.0)
     said = inquiry.in_view_of(np.full(8, 15.0), outcomes.nothing_missing(None))
     assert "not adequate" in said.sentence
+    inquiry.unseen = "3 pushes"
+    blind = outcomes.nothing_visible(inquiry.base, "3 pushes")
+    said = inquiry.in_view_of(np.full(8, 15.0), blind)
+    assert "by 15 times" in said.sentence and "3 pushes could not show why" in said.sentence
+    assert inquiry.in_view_of(np.full(8, 1.5), blind) is blind
+    assert inquiry.in_view_of(np.full(8, 4.0), blind) is blind  # few pushes leave the maps open
+    inquiry.misfit = lambda: np.array([4.0])
+    assert "could not show why" in inquiry.in_view_of(np.full(8, 4.0), blind).sentence
 
 
 @pytest.mark.parametrize(("with_it", "most"), [(5.0, True), (30.0, False)])

@@ -166,8 +166,15 @@ def test_a_guess_says_that_commas_may_mean_either(tmp_path):
 
 def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
-    with pytest.raises(DatasetError, match="nothing looks like an object's pose"):
+    with pytest.raises(DatasetError, match=r"nothing looks like an object's pose.*docs/import\.md"):
         guess_setup(tmp_path / "p.csv")
+
+
+def test_small_numbers_may_be_in_millimetres_or_centimetres(tmp_path):
+    for span, words in ((50.0, "size of the numbers (or cm?)"), (500.0, "size of the numbers\n")):
+        rows = "".join(f"{k / 100},{span * k / 99},0,0\n" for k in range(100))
+        (tmp_path / "p.csv").write_text("t,block_x,block_y,block_yaw\n" + rows)
+        assert words in guess_setup(tmp_path / "p.csv")
 
 
 def forces(tmp_path, late, short):
