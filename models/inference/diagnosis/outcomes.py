@@ -201,13 +201,22 @@ def two_at_once(found: Sequence[Fitted]) -> Outcome:
     return Outcome("ambiguous", sentence, best, tuple(union), rivals=rivals)
 
 
-def unknown(base: Fitted, screening: Screening) -> Outcome:
-    """The residual has structure, described by the probe that gains most in a screening."""
+def unknown(base: Fitted, screening: Screening, nearest: str = "") -> Outcome:
+    """The residual has structure, described by the probe that gains most in a screening.
+
+    Args:
+        base: the model without effects.
+        screening: gains over that model, or over the effect that comes nearest.
+        nearest: that effect, what it gains and what is left on top, as a clause.
+    """
     probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
     _, probe = max(probes, key=lambda pair: pair[0])
+    behaves = "It behaves like this:"
+    if nearest:
+        behaves = f"Nearest comes {nearest}. What is left then behaves like this:"
     return Outcome(
         "unknown",
-        "The residual has structure that no effect in the library explains. It behaves like this:"
+        f"The residual has structure that no effect in the library explains. {behaves}"
         f" {probe.sentence[0].lower()}{probe.sentence[1:]}",
         base,
         depends_on=f"{probe.name}: {probe.sentence}",

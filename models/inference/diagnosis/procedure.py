@@ -262,7 +262,17 @@ class Inquiry:
             return outcomes.two_at_once(found)
         if float(self.first.gain.max()) < UNKNOWN_GAIN:
             return self._too_faint()
-        return outcomes.unknown(self.base, next(iter(rest.values())))
+        name, screening = next(iter(rest.items()))
+        return outcomes.unknown(self.base, screening, self._nearest(name))
+
+    def _nearest(self, name: str) -> str:
+        """A candidate that would explain the pushes but for what gains on top of it, as a clause."""
+        left = self.left[name]
+        if left.rejected_by is None:
+            return ""
+        by_effect = left.rejected_by in {effect.name for effect in self.effects}
+        more = f", but {left.rejected_by} on top gains {left.gain:.0f} more" * by_effect
+        return f"{name} ({self.refits.gains[name]:.0f} nats when refitted){more}"
 
     def _screen(
         self, fitted: Fitted, progress: StageProgress | None = None, *, flips: bool = False

@@ -187,7 +187,8 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
         "fault": fault,
         "accepted": [], "unseen": None, "only_a_trace": False, "_ask_every_effect": lambda: first,
         "_found_better_base": lambda: False,
-        "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]), "left": {},
+        "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]),
+        "left": {"some": Remainder(None, 0.0, None, True)},
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
@@ -201,6 +202,18 @@ def verdict(*arguments, **options):
 @pytest.mark.parametrize(("gain", "said"), [(15.0, "undecided"), (40.0, "undecided"), (60.0, "unknown")])
 def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
     assert verdict(monkeypatch, gain).verdict == said
+
+
+@pytest.mark.parametrize(
+    ("on_top", "said"),
+    [(None, "explains. It behaves"), (LIBRARY[1].name, f"but {LIBRARY[1].name} on top gains 133 more. What"),
+     (PROBES[0].name, "Nearest comes some (6963 nats when refitted). What is left then behaves like this")],
+)  # fmt: skip
+def test_the_unknown_is_told_with_the_effect_that_comes_nearest(monkeypatch, on_top, said):
+    """Two effects of the library together must not be called one that it lacks, without a word on them."""
+    inquiry = made_inquiry(monkeypatch, 60.0, refitted=6963.0)
+    inquiry.effects, inquiry.left = LIBRARY[:2], {"some": Remainder(on_top, 133.0, 0.01, False)}
+    assert said in inquiry.run().sentence
 
 
 def test_a_finding_that_vanishes_and_leaves_nothing_clear_is_adequate(monkeypatch):
