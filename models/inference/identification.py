@@ -59,6 +59,8 @@ METHODS = ("gauss-newton", "paper")
 MOST_CELLS = 800
 """Most cells to learn with."""
 
+_REFUTED = "the pushes contradict the known maps"
+
 
 @one_blas_thread()
 def identify(
@@ -183,6 +185,8 @@ def learn(
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
     facts = quantities(learned, informed, contradicted=contradicted, bold=bold_compared(every))
+    if share_of_known == 0.0:  # wrong maps, or an effect that would otherwise bend them
+        facts = tuple(replace(fact, shown=False, reason=_REFUTED) for fact in facts)
     facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(

@@ -125,6 +125,8 @@ def test_true_maps_predict_better_than_learnt_ones_and_wrong_ones_are_doubted(re
     assert arm.shown and arm.reason == "known beforehand"
     misled = learn(dataset, dataclasses.replace(known, friction=truth.mu[0][::-1]))
     assert misled.share_of_known == 0.0
+    assert not any(fact.shown for fact in misled.quantities)
+    assert {fact.reason for fact in misled.quantities} == {"the pushes contradict the known maps"}
     assert misled.errors("heldout").mean() > 3 * right.errors("heldout").mean()
 
 
