@@ -166,20 +166,20 @@ def learn(
 
     few = with_fewer_cells(dataset)
     fitting = partial(report, "fitting")
-    with of_dataset(dataset.name):
+    with of_dataset(dataset.name, effects):
         every = explain(few, fitted, prior_settings, fitting, found, plain_only=not friction_laws)
-    share_of_known = None
-    if dataset.known is not None and found is None:
-        free, own = replace(few, known=None), partial(report, "fitting free maps")
-        rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
-        share_of_known = weighed(rivals)[0].share
-    every = with_fine_fits(every, dataset.noise)
-    learned = mixed_belief(few, every, effects, hypotheses, seed, report)
-    noise = sensor_noise(dataset)
-    left_out = leave_out(*every[0].drawn_from[-1])
-    told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
-    belief = spread_out(replace(learned, settings=told), dataset)
-    predictions = predict_observations(belief, observations, noise, report)
+        share_of_known = None
+        if dataset.known is not None and found is None:
+            free, own = replace(few, known=None), partial(report, "fitting free maps")
+            rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+            share_of_known = weighed(rivals)[0].share
+        every = with_fine_fits(every, dataset.noise)
+        learned = mixed_belief(few, every, effects, hypotheses, seed, report)
+        noise = sensor_noise(dataset)
+        left_out = leave_out(*every[0].drawn_from[-1])
+        told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
+        belief = spread_out(replace(learned, settings=told), dataset)
+        predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
     facts = quantities(learned, informed, contradicted=contradicted, bold=bold_compared(every))
