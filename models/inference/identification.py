@@ -182,7 +182,9 @@ def learn(
         predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
-    facts = quantities(learned, informed, contradicted=contradicted, bold=bold_compared(every))
+    facts = quantities(
+        learned, informed, contradicted=contradicted, bold=bold_compared(every), heaviest=dataset.heaviest
+    )
     facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(
@@ -206,7 +208,7 @@ def _by_algorithm_1(
     likelihood = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings())
     predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
     found = fit_maps(likelihood, np.array([prior.start(0.35)]))
-    facts = quantities(belief, [Informed(likelihood, found, 1.0)])
+    facts = quantities(belief, [Informed(likelihood, found, 1.0)], heaviest=dataset.heaviest)
     return Identification(belief, predictions, facts, time.perf_counter() - started, dataset=dataset)
 
 
