@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import hashlib
 import json
 import math
 import os
@@ -171,6 +172,29 @@ def replaced_folder(path: Path) -> Iterator[Path]:
     except BaseException:
         remove_part(fresh)
         raise
+
+
+def write_checked(path: Path, data: bytes) -> None:
+    """Write a file for `read_checked`. Its first line is a hash of the rest, and a comment to Python.
+
+    Raises:
+        OSError: the path cannot be written.
+    """
+    with replaced_file(path) as part:
+        part.write_bytes(_hash_line(data) + data)
+
+
+def read_checked(path: Path) -> bytes | None:
+    """What `write_checked` wrote, or None if there is nothing, or nothing whole."""
+    try:
+        line, _, data = path.read_bytes().partition(b"\n")
+    except OSError:
+        return None
+    return data if line + b"\n" == _hash_line(data) else None
+
+
+def _hash_line(data: bytes) -> bytes:
+    return f"# {hashlib.sha256(data).hexdigest()}\n".encode()
 
 
 def _rename(part: Path, final: Path) -> None:

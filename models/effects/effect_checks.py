@@ -89,8 +89,15 @@ def _check_values(effect: Effect, slots: Slots) -> None:
     """Evaluate the formulas at random states, with the effect at its null and at random parameters."""
     rng = np.random.default_rng(0)
     outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, *slots.reports)]
+    _check_readable(outputs)
     symbols = sorted({s for entry in outputs for s in entry.free_symbols}, key=str)
-    evaluate = sp.lambdify(symbols, outputs, modules="math")
+    try:
+        evaluate = sp.lambdify(symbols, outputs, modules="math")
+    except Exception as error:  # SymPy cannot write every function as code
+        raise EffectError(
+            f"the formula cannot be written as code: {type(error).__name__}: {_shortened(error)}; build it"
+            " from sums, products, powers, cases and functions such as sin and exp"
+        ) from error
     parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
     own = {memory_name(effect.name, name) for name in effect.memory} | set(FORCE_NAMES)
     for trial in range(20):
@@ -125,6 +132,23 @@ def _check_values(effect: Effect, slots: Slots) -> None:
         if null:
             true = [values.get(real(name), 0.0) for name in (*POSE_SYMBOLS, *PUSH_SYMBOLS)]
             _check_vanished(effect, results, slots, true[:3], true[3:])
+
+
+def _check_readable(outputs: Sequence[sp.Expr]) -> None:
+    """Refuse complex numbers, and cases that leave some values out."""
+    for entry in outputs:
+        if entry.has(sp.I):
+            raise EffectError("the formula contains the imaginary unit I; it must give real numbers")
+        for cases in entry.atoms(sp.Piecewise):
+            if sp.Or(*(condition for _, condition in cases.args)) != sp.true:
+                raise EffectError(
+                    f"the cases of {_shortened(cases)} leave out some values: end it with one for all others,"
+                    " as in Piecewise((1, body.x > 0), (0, True))"
+                )
+
+
+def _shortened(what: object) -> str:
+    return str(what).strip().partition("\n")[0][:200]
 
 
 def _check_vanished(
@@ -174,7 +198,7 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
         except Exception as error:  # SymPy cannot write every function as code
             raise EffectError(
                 f"the formula's derivative with respect to {symbol} cannot be computed:"
-                f" {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+                f" {type(error).__name__}: {_shortened(error)}"
             ) from error
         if not finite:
             raise EffectError(

@@ -131,13 +131,27 @@ class Slots:
         formulas = [*self.body, *self.cell, *self.renewed, *self.reports]
         asked = {symbol for formula in formulas for symbol in sp.sympify(formula).free_symbols}
         needs_memory = bool(self.renewed) or bool(asked & set(force))
-        own = [*lean, *(real(memory_name(e.name, name)) for e in effects for name in e.memory)]
+        remembered = [*lean, *(real(memory_name(e.name, name)) for e in effects for name in e.memory)]
         self.parameters = [real(parameter_name(e.name, p.name)) for e in effects for p in e.parameters]
-        self.memory = [*force, *own] if needs_memory else []
+        self.memory = [*force, *remembered] if needs_memory else []
         inertia_symbols = [real(name) for name in INERTIA_NAMES]
         self.y = [*(real(name) for name in STATE_NAMES), *self.memory, *inertia_symbols, *self.parameters]
-        given = (*CONSTANT_NAMES, "r_x", "r_y", *AFTER_SYMBOLS)
-        strangers = asked - {*self.y, *pose, *push, *slope, *map(real, given)}
+        given, own = {*self.y, *slope, *map(real, CONSTANT_NAMES)}, {*self.parameters}
+        # What the functions of the module know, see `module_source`.
+        known_by = (
+            (self.body, given),
+            (self.cell, given | {real("r_x"), real("r_y")}),
+            (self.renewed, given | {*map(real, AFTER_SYMBOLS)}),
+            (self.measured, own | {*pose}),
+            (self.felt, own | {*push}),
+            ([self.delay, self.force_delay], own),
+        )
+        strangers = {
+            symbol
+            for formulas, symbols in known_by
+            for formula in formulas
+            for symbol in sp.sympify(formula).free_symbols - symbols
+        }
         if strangers:
             names = ", ".join(e.name for e in effects)
             raise EffectError(

@@ -25,7 +25,7 @@ from numba.core.cgutils import insert_pure_function
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
-from slipmap.models.files import replaced_file
+from slipmap.models.files import read_checked, write_checked
 
 _TRANSLATOR = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
@@ -92,20 +92,13 @@ def _by_numba(function: Callable[..., None]) -> Formula:
 
 
 def _write(kept: Path, state: Any) -> None:
-    data = pickle.dumps(state)
-    with replaced_file(kept) as part:
-        part.write_bytes(hashlib.sha256(data).digest() + data)
+    write_checked(kept, pickle.dumps(state))
 
 
 def _read(kept: Path) -> Any:
     """What was kept, or None if there is nothing, or nothing whole."""
-    try:
-        text = kept.read_bytes()
-    except OSError:
-        return None
-    size = hashlib.sha256().digest_size
-    whole = hashlib.sha256(text[size:]).digest() == text[:size]
-    return pickle.loads(text[size:]) if whole else None
+    data = read_checked(kept)
+    return None if data is None else pickle.loads(data)
 
 
 def _translated(function: Callable[..., None], module: ir.Module) -> ir.Module | None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
@@ -20,13 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, EffectError
-from slipmap.models.files import replaced_file
+from slipmap.models.files import read_checked, write_checked
 from slipmap.models.physics.compiled import CACHE_FOLDER
 from slipmap.models.physics.friction import FINGER_SETTLING
 
 FloatArray = NDArray[np.float64]
 Report = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
 Delay = Callable[[FloatArray], tuple[float, FloatArray]]
+
+_temporary: list[TemporaryDirectory[str]] = []  # removed when the process ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +79,9 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
     if key is None:
         text = _source(effects)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
-    folder = CACHE_FOLDER / f"effects-{key}"
-    path = folder / "program.py"
-    if not path.exists():
-        text = text or _source(effects)
-        folder.mkdir(parents=True, exist_ok=True)
-        with replaced_file(path) as part:
-            part.write_text(text)
+    path = CACHE_FOLDER / f"effects-{key}" / "program.py"
+    if read_checked(path) is None:
+        path = _written(path, text or _source(effects))
     spec = importlib.util.spec_from_file_location(f"slipmap_effects_{key}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -99,6 +98,22 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
         getattr(module, "force_delay", None),
         module,
     )
+
+
+def _written(path: Path, text: str) -> Path:
+    """Path of a file with this text: the one given, or a temporary one where that cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_checked(path, text.encode())
+        return path
+    except OSError:
+        # The machine code lies beside its source. Numba, which compiles some formulas, needs a file too.
+        folder = TemporaryDirectory(prefix="slipmap-")
+        _temporary.append(folder)
+        path = Path(folder.name) / path.parent.name / path.name
+        path.parent.mkdir()
+        write_checked(path, text.encode())
+        return path
 
 
 def _key(effects: Sequence[Effect]) -> str | None:

@@ -7,7 +7,7 @@ refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -15,7 +15,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from slipmap.models.inference.likelihood import DrawnErrors, NormalEquations, PushCosts, PushLikelihood
+from slipmap.models.effects.effect import Effect
+from slipmap.models.inference.likelihood import (
+    DrawnErrors,
+    NormalEquations,
+    PushCosts,
+    PushLikelihood,
+    overflowing,
+)
 from slipmap.models.measurements import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -51,8 +58,12 @@ class Fits:
 
 
 @contextmanager
-def of_dataset(name: str) -> Iterator[None]:
+def of_dataset(name: str, effects: Sequence[Effect] = ()) -> Iterator[None]:
     """Fits without which nothing can be said about a dataset.
+
+    Args:
+        name: of the dataset.
+        effects: of the model.
 
     Raises:
         DatasetError: a fit fails, as where an object moves far for a tiny change of its maps.
@@ -60,12 +71,18 @@ def of_dataset(name: str) -> Iterator[None]:
     try:
         yield
     except (RolloutError, np.linalg.LinAlgError) as error:
-        raise DatasetError(
-            f"dataset {name}: how the pushes depend on the maps cannot be computed ({error}); does the object"
-            " start or end where it tips? `slipmap check` looks at the table, the frames and the units"
-        ) from error
+        model = f"the model with {', '.join(effect.name for effect in effects)} cannot be computed"
+        moderate = "let an effect's formulas stay moderate wherever the object was, or fit without it"
+        unknown = "how the pushes depend on the maps cannot be computed"
+        tips = (
+            "does the object start or end where it tips? `slipmap check` looks at the table, the frames and"
+            " the units"
+        )
+        what, advice = (model, moderate) if effects else (unknown, tips)
+        raise DatasetError(f"dataset {name}: {what} ({error}); {advice}") from error
 
 
+@overflowing()
 def fit(
     likelihood: PushCosts,
     start: FloatArray,
@@ -98,7 +115,7 @@ def fit(
         progress: called with (iteration, iterations).
 
     Raises:
-        RolloutError: the start cannot be computed.
+        RolloutError: a start cannot be computed, or costs or derivatives overflow at all of them.
         Unwanted: nobody waits for the fit any more; see `go_on`.
     """
     K, B = len(start), len(likelihood.observations)
@@ -125,8 +142,9 @@ def fit(
     z = start.copy()
     damping, growth = np.full(K, 1e-2), np.full(K, 2.0)
 
-    def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:
-        return (weights[who] * push_cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
+    def total(found: NormalEquations, at: FloatArray, who: np.ndarray) -> FloatArray:
+        cost = (weights[who] * found.cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
+        return np.where(found.finite, cost, np.inf)
 
     def linearised(at: FloatArray, offsets: FloatArray, who: np.ndarray) -> NormalEquations:
         if errors is None:
@@ -134,9 +152,11 @@ def fit(
         assert isinstance(likelihood, PushLikelihood)
         return likelihood.linearise(at, offsets, strength[who], weights[who], errors=errors.of(who))
 
-    active = np.arange(K)
-    equations = linearised(z, shift, active)
-    cost = total(equations.cost, z, active)
+    equations = linearised(z, shift, np.arange(K))
+    cost = total(equations, z, np.arange(K))
+    active = np.flatnonzero(np.isfinite(cost))
+    if len(active) == 0:
+        raise RolloutError("costs or their derivatives overflow")
     for done in range(1, iterations + 1):
         go_on()
         step = np.zeros_like(z)
@@ -152,7 +172,7 @@ def fit(
             weights[active],
         )  # fmt: skip
         trial = linearised(new_z, new_shift, active)
-        new_cost = total(trial.cost, new_z, active)
+        new_cost = total(trial, new_z, active)
         drop = cost[active] - new_cost
         better = drop > 0.0
         gain = np.where(better, drop, 0.0)
@@ -188,12 +208,14 @@ def _damped_step(
     equations: NormalEquations, k: int, from_mean: FloatArray, damping: float, longest: float = 1.5
 ) -> FloatArray:
     """(d,) step of hypothesis k; no coordinate changes by more than `longest` standard deviations of the
-    prior."""
+    prior. Zero if it overflows."""
     system = equations.hessian[k].copy()
     diagonal = np.diagonal(system) + 1.0
     np.fill_diagonal(system, diagonal * (1.0 + damping))
     factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
     step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
+    if not np.isfinite(step).all():
+        return np.zeros_like(step)
     return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
 
 

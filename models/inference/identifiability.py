@@ -62,6 +62,7 @@ _SMALL_BASE = 0.5
 
 _CENTRE = ("centre of friction, x", "centre of friction, y")
 _ARM = "friction arm (mean distance from its centre)"
+_TOO_HEAVY = "hardly any object of this size is so heavy: is the force in N?"
 _TOO_ALIKE = "so few pushes with such errors do not show how strongly the maps vary"
 
 
@@ -129,7 +130,12 @@ class _Seen:
 
 
 def quantities(
-    belief: Belief, informed: Sequence[Informed], *, contradicted: bool = False, bold: bool = True
+    belief: Belief,
+    informed: Sequence[Informed],
+    *,
+    contradicted: bool = False,
+    bold: bool = True,
+    heaviest: float = np.inf,
 ) -> tuple[Quantity, ...]:
     """Value, 90 % interval and verdict for each quantity.
 
@@ -138,6 +144,7 @@ def quantities(
         informed: fits that they come from; the first decides what is shown, of shares all of them.
         contradicted: whether a measured force was left out because it contradicts the contact.
         bold: whether maps that vary strongly were compared with the others.
+        heaviest: mass that no object of this size exceeds, kg.
     """
     likelihood = informed[0].likelihood
     prior = likelihood.prior
@@ -151,6 +158,8 @@ def quantities(
     if prior.known is not None:
         free = MapPrior(prior.slider, prior.settings, prior.mass)
         open_widths = [g @ g for g in _gradients(measures, free, np.zeros(free.size))]
+    masses = belief.maps.mass.sum(axis=1)
+    too_heavy = prior.mass is None and interval(masses, belief.probability, log=True)[0] > heaviest
     results: list[Quantity] = []
     for place, measure in enumerate(measures):
         if prior.known is not None and variances[0][0][place] < SHOWN_SHARE * open_widths[place]:
@@ -179,11 +188,16 @@ def quantities(
             shown = False
             who = "the pushes" if prior.known is None else "the known map and the pushes"
             measure = replace(measure, open=f"{prior.mass:.3g} kg were weighed, but {who} contradict this")
+        if too_heavy and measure.inertial and measure.log:  # these are in proportion to the mass
+            shown = False
+            measure = replace(measure, open=_TOO_HEAVY)
         reason = measure.shown if shown else _TOO_ALIKE if narrowed and alike else measure.open
         if measure.name == "total friction" and shown and not measure.given and prior.mass:
             share = value / (prior.mass * prior.slider.gravity)
             if not SELDOM_LESS < share < SELDOM_MORE:
                 reason += f", but {share:.2g} times the weight: are force and mass in N and kg, and right?"
+        if measure.name == "total friction" and shown and too_heavy:
+            reason += f", but {_TOO_HEAVY}"
         if shown and measure.share and not measure.given:
             reason = _basis_of_shares({one.name for one in results if one.shown}) or reason
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))

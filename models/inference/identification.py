@@ -168,23 +168,25 @@ def learn(
 
     few = with_fewer_cells(dataset)
     fitting = partial(report, "fitting")
-    with of_dataset(dataset.name):
+    with of_dataset(dataset.name, effects):
         every = explain(few, fitted, prior_settings, fitting, found, plain_only=not friction_laws)
-    share_of_known = None
-    if dataset.known is not None and found is None:
-        free, own = replace(few, known=None), partial(report, "fitting free maps")
-        rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
-        share_of_known = weighed(rivals)[0].share
-    every = with_fine_fits(every, dataset.noise)
-    learned = mixed_belief(few, every, effects, hypotheses, seed, report)
-    noise = sensor_noise(dataset)
-    left_out = leave_out(*every[0].drawn_from[-1])
-    told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
-    belief = spread_out(replace(learned, settings=told), dataset)
-    predictions = predict_observations(belief, observations, noise, report)
+        share_of_known = None
+        if dataset.known is not None and found is None:
+            free, own = replace(few, known=None), partial(report, "fitting free maps")
+            rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+            share_of_known = weighed(rivals)[0].share
+        every = with_fine_fits(every, dataset.noise)
+        learned = mixed_belief(few, every, effects, hypotheses, seed, report)
+        noise = sensor_noise(dataset)
+        left_out = leave_out(*every[0].drawn_from[-1])
+        told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
+        belief = spread_out(replace(learned, settings=told), dataset)
+        predictions = predict_observations(belief, observations, noise, report)
     likelihood, information = every[0].likelihood, every[0].best
     informed = [Informed(one.likelihood, one.best, one.share) for one in every]
-    facts = quantities(learned, informed, contradicted=contradicted, bold=bold_compared(every))
+    facts = quantities(
+        learned, informed, contradicted=contradicted, bold=bold_compared(every), heaviest=dataset.heaviest
+    )
     if share_of_known == 0.0:  # wrong maps, or an effect that would otherwise bend them
         facts = tuple(replace(fact, shown=False, reason=_REFUTED) for fact in facts)
     facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
@@ -210,7 +212,7 @@ def _by_algorithm_1(
     likelihood = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings())
     predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
     found = fit_maps(likelihood, np.array([prior.start(0.35)]))
-    facts = quantities(belief, [Informed(likelihood, found, 1.0)])
+    facts = quantities(belief, [Informed(likelihood, found, 1.0)], heaviest=dataset.heaviest)
     return Identification(belief, predictions, facts, time.perf_counter() - started, dataset=dataset)
 
 

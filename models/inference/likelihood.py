@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
@@ -47,6 +48,13 @@ _ALIKE = 2**22
 
 _MANY_COLUMNS = 2.0
 """From this ratio of a rollout's columns to coordinates on, derivatives are converted to coordinates."""
+
+
+@contextmanager
+def overflowing() -> Iterator[None]:
+    """Where what a user's formula gives may overflow; the result is checked."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        yield
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,12 @@ class NormalEquations:
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) Hessian block of maps and start
     push_gradient: FloatArray | None = None  # (B, K, d) of each push, unweighted, where asked for
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """(K,) whether nothing overflowed, as derivatives of a user's formula may."""
+        parts = self.hessian, self.gradient[:, None], self.cost[:, None]
+        return np.array([all(np.isfinite(part[k]).all() for part in parts) for k in range(len(self.cost))])
 
 
 class PushCosts(Protocol):
@@ -156,6 +170,7 @@ class PushLikelihood(ABC):
         self._kind = poses[self._order]
         self._rows = (3 * poses + 2 * forces)[self._order]
 
+    @overflowing()
     def linearise(
         self,
         z: FloatArray,

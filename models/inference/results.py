@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Paired
@@ -99,6 +100,24 @@ class Identification:
         return Paired.of(first, second)
 
     @property
+    def verdict(self) -> str:
+        """For `fit`, whether the pushes speak `for` or `against` the effects, or leave it `undecided`.
+
+        They speak for them where the misfit of those that judge falls, and the interval of each effect
+        excludes its null.
+        """
+        paired = self.with_and_without
+        assert paired is not None
+        return "undecided" if paired.verdict == "for" and self.without_clear_size else paired.verdict
+
+    @property
+    def without_clear_size(self) -> tuple[str, ...]:
+        """Names of the requested effects whose intervals include no effect at all, see `holds_null`."""
+        told = self.effect_estimates
+        names = (effect for effect in self.belief.effects if effect.name in told)
+        return tuple(effect.name for effect in names if holds_null(effect, told[effect.name]))
+
+    @property
     def effect_estimates(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Value (median), 90 % interval, unit and whether shown, by requested effect and parameter."""
         facts = {quantity.name: quantity for quantity in self.quantities}
@@ -130,7 +149,7 @@ class Identification:
             more = {
                 "effects": self.effect_estimates,
                 "without_effects": plain,
-                "misfit_with_over_without": paired.to_json(),
+                "misfit_with_over_without": {**paired.to_json(), "verdict": self.verdict},
             }
         heldout = self.errors("heldout")
         return {
@@ -157,6 +176,17 @@ class Identification:
             "seed": self.belief.seed,
             **more,
         }
+
+
+def holds_null(effect: Effect, told: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether the 90 % interval of each of an effect's amplitudes contains its null (no effect).
+
+    Args:
+        effect: the effect.
+        told: `low` and `high` of its parameters by name, as in `Identification.effect_estimates`.
+    """
+    amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]
+    return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
 
 
 def belief_of(learned: Belief | Identification) -> Belief:

@@ -39,8 +39,11 @@ from slipmap.models.measurements.trial_checks import (
     IN_DEGREES,
     beyond_table,
     impossible,
+    jittering,
     never_near,
+    pushing_force,
     seems_degrees,
+    too_strong,
     turns_like_degrees,
 )
 from slipmap.models.measurements.what_pushes_show import (
@@ -142,6 +145,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
     turned = _in_degrees(dataset, rows)
     findings = [
         *_rates(dataset),
+        *_jitter(dataset),
         *_rows_left_out(dataset),
         *_jumps(dataset, turned),
         *_noises(dataset),
@@ -235,6 +239,12 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             advice = f"no pose for more than {1e3 * _GAP:.0f} ms of motion in {parsing.listed(blind)}"
         findings.append(Finding(f"rate of {words}", text, "note" if advice else "good", advice))
     return findings
+
+
+def _jitter(dataset: PushDataset) -> list[Finding]:
+    """A finding if stamps jitter though rows are evenly spaced."""
+    found = jittering(dataset.trials)
+    return [] if found is None else [Finding("jitter of stamps", found[0], "wrong", found[1])]
 
 
 def _longest_blind_motion(trial: Trial) -> float:
@@ -510,10 +520,9 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         if not trial.ends_only and trial.ft_wrench is not None
         and (free := free_force(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)) is not None
     ]  # fmt: skip
-    pushing = float(
-        np.median([np.percentile(np.hypot(*trial.channels["ft_wrench"].values[:, :2].T), 80)
-                   for trial in forced])
-    )  # fmt: skip
+    pushing = pushing_force(dataset, forced) or 0.0
+    if (strong := too_strong(dataset, forced)) is not None:
+        findings.append(Finding("force and size", strong[0], "wrong", strong[1]))
     if dataset.mass is not None:
         weight = dataset.mass * dataset.gravity
         each = [np.hypot(*trial.channels["ft_wrench"].values[:, :2].T) for trial in forced]

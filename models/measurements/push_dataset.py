@@ -45,6 +45,10 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
 LEAST_SPREAD = 1e-3
 """Smallest relative standard deviation with which anything is known."""
 
+MOST_PER_AREA = 2e4
+"""Mass per area of an object that hardly any other exceeds, as of two metres of steel, kg/m²."""
+
+_DENSEST = 2.5e4  # kg/m³, more than gold
 _FAR_AWAY = 1.0  # m beyond the outline
 _LEAST_NOISE = {
     "position": (1e-6, "m"),
@@ -435,6 +439,12 @@ class Setup:
     def reach(self) -> float:
         """Largest distance of the outline from the object frame's origin, m."""
         return self.grid.reach
+
+    @property
+    def heaviest(self) -> float:
+        """Mass that hardly any object with this outline and height exceeds, kg."""
+        of_height = np.inf if self.height is None else _DENSEST * self.height
+        return float(self.grid.polygon.area * min(MOST_PER_AREA, of_height))
 
     @property
     def noise_of_motion(self) -> float:

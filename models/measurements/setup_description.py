@@ -11,7 +11,7 @@ import shapely
 
 from slipmap.models.measurements import known_maps, parsing
 from slipmap.models.measurements.parsing import Number
-from slipmap.models.measurements.push_dataset import DatasetError, Noise, Setup, Table
+from slipmap.models.measurements.push_dataset import MOST_PER_AREA, DatasetError, Noise, Setup, Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import THICKEST_FINGER, TOO_THICK
 
@@ -38,7 +38,7 @@ _SMALLEST_EXTENT = 1e-3  # m
 _LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers must be mm
 # Limits beyond which a value is unusual, but not refused.
 _HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
-_MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
+_MASS_PER_AREA = (0.1, MOST_PER_AREA)  # kg/m²; from stiff paper on
 _NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 

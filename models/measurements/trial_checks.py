@@ -23,6 +23,7 @@ from slipmap.models.measurements.contact import (
     contact_rows,
     force_complaint,
 )
+from slipmap.models.measurements.motion import stamp_jitter
 from slipmap.models.measurements.push_dataset import (
     CHANNELS,
     Channel,
@@ -181,6 +182,8 @@ def check_trials(
     if (away := never_near(setup, chosen)) is not None:
         found.pop(_NOT_NEAR, None)  # the same, push by push
         told.append(f"{where}: {'; '.join(away)}")
+    for doubt in (too_strong(setup, chosen), jittering(chosen)):
+        told += [f"{where}: {'; '.join(doubt)}"] if doubt else []
     warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
     chosen = [trial for trial in chosen if trial.name not in odd]
     if (off := beyond_table(setup, chosen)[0]) is not None:
@@ -217,6 +220,41 @@ def never_near(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
         found += f", the object by a median of {_length_text(way)}, {lengths:.0f} lengths of its outline"
         asked = "are positions in m?"
     return found, f"{asked} If no finger pushed, import with `tip_pose: null`"
+
+
+def pushing_force(setup: Setup, trials: Sequence[Trial]) -> float | None:
+    """Median over the pushes of the force in a typical strong row, N; None where none was measured."""
+    sizes = [
+        np.percentile(np.hypot(*trial.ft_wrench.values[:, :2].T), 80)
+        for trial in trials
+        if trial.ft_wrench is not None and trial.finger_near(setup.reach)
+    ]
+    return float(np.median(sizes)) if sizes else None
+
+
+def too_strong(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
+    """What is odd, and what to do, if an object that was not weighed is pushed with more than any object of
+    its size weighs; else None."""
+    pushing, heaviest = pushing_force(setup, trials), setup.heaviest * setup.gravity
+    if setup.mass is not None or pushing is None or pushing <= heaviest:
+        return None
+    found = (
+        f"ft_wrench is {pushing:.3g} N while pushing; hardly any object of this size weighs {heaviest:.3g} N"
+    )
+    return found, "is the force in N, rather than in grams or mN?"
+
+
+def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:
+    """What is odd, and what to do, if stamps jitter in most pushes whose fingers show it; else None."""
+    found = [stamp_jitter(trial.tip_pose.time, trial.tip_pose.values[:, :2]) for trial in trials]
+    judged = [jitter for jitter in found if jitter is not None]
+    if not judged or not (middle := float(np.median(judged))):
+        return None
+    return (
+        f"the finger's stamps jitter by {1e3 * middle:.0f} ms, but its rows seem evenly spaced: it moves more"
+        " smoothly from row to row than by its stamps",
+        "import with `rate` in a setup.yaml, for each channel whose rows are even, instead of stamps",
+    )
 
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:

@@ -324,7 +324,9 @@ _SAID = {
     "undecided": "These {count} pushes alone do not show whether {effects} is present, and its size holds"
     " only if it is; `slipmap diagnose` weighs all pushes.",
 }
-"""What the pushes say about effects, by `Paired.verdict`."""
+"""What the pushes say about effects, by `Identification.verdict`."""
+
+_NOT_CLEAR = "The 90 % interval of {names} is consistent with no effect at all. "
 
 
 def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
@@ -339,7 +341,9 @@ def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
     change = f"Push by push, their misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
         change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
-    said = _SAID[paired.verdict].format(effects=effects, count=len(result.errors(role)))
+    said = _SAID[result.verdict].format(effects=effects, count=len(result.errors(role)))
+    if result.verdict != paired.verdict:
+        said = _NOT_CLEAR.format(names=" and of ".join(result.without_clear_size)) + said
     paragraph(
         f"{pushes} end {millimetres(now)} mm from their predictions on average; without {effects},"
         f" {millimetres(before)} mm. {change}. {said}"

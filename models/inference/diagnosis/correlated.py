@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import Alike, DrawnErrors, PushLikelihood
+from slipmap.models.inference.likelihood import Alike, DrawnErrors, PushLikelihood, overflowing
 from slipmap.models.inference.observations import AVERAGED, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -204,6 +204,7 @@ def _robust(square: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, Fl
 # The predictive score.
 
 
+@overflowing()
 def whitened_rows(
     likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]
 ) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -238,6 +239,7 @@ class PushEquations:
     square: FloatArray  # (B, D) |r_b|²
 
     @classmethod
+    @overflowing()
     def of(cls, jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> PushEquations:
         """Form the equations from whitened Jacobians (R_b, d) and residuals (R_b, D)."""
         return cls(
@@ -246,6 +248,7 @@ class PushEquations:
             np.array([(r**2).sum(axis=0) for r in residuals]),
         )
 
+    @overflowing()
     def scores(
         self, columns: NDArray[np.int64], precision: FloatArray, pull: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray]:

@@ -141,7 +141,7 @@ class Fitter:
         offsets = np.repeat(near.offsets[None], len(tried), axis=0)
         weights = np.ones((len(tried), len(near.offsets)))
         cost = likelihood.linearise(z, offsets, np.ones(len(tried)), weights).cost.sum(axis=1)
-        return tried[int(np.argmin(cost))]
+        return tried[int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))]
 
     def with_effects(
         self,

@@ -198,7 +198,7 @@ def find_effects(
     if found is None:
         raise DatasetError(
             f"the model with {', '.join(effect.name for effect in effects)} cannot be fitted to dataset"
-            f" {dataset.name}: its rollouts do not converge"
+            f" {dataset.name}: its rollouts do not converge, or their derivatives overflow"
         )
     stage(2, 3)
     error = estimate_errors(found, fitter.noise)

@@ -33,6 +33,9 @@ _TOLERANCE = 1.0 / 30.0
 _FREE = 3.0
 """Standard deviation of a candidate's amplitudes, in their scales."""
 
+_LARGEST = 1e100
+"""Size from which the squares of derivatives, or sums of their products, would overflow."""
+
 
 @dataclass(frozen=True, eq=False)
 class Screening:
@@ -222,4 +225,12 @@ def _stacked(
         for parts, J in zip(jacobians, white, strict=True):
             parts.append(J)
     stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
+    largest = np.max([np.abs(J).max(axis=0) for J in stacked], axis=0)
+    for effect, starts_of in zip(everything, own_columns, strict=True):
+        if not all((largest[columns] < _LARGEST).all() for columns in starts_of):
+            raise EffectError(
+                f"the model with {effect.name} cannot be computed on these pushes: its derivatives overflow."
+                " Let its formulas stay moderate wherever the object was, as exp(x / 0.1) does and"
+                " exp(2000 * x) does not"
+            )
     return _Stacked(stacked, residuals, base_columns, own_columns)

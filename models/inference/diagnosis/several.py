@@ -45,6 +45,7 @@ from slipmap.models.inference.diagnosis.results import (
 from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -459,13 +460,11 @@ class _Inquiry:
     def _there(self, one: JudgedFit) -> bool:
         """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is
         not shared."""
-        estimates = {(e.effect, e.name): e for e in self._estimates(one)}
-
-        def stands(effect: Effect) -> bool:
-            pairs = [(p, estimates[effect.name, p.name]) for p in effect.parameters if p.null is not None]
-            return any(not e.low <= p.center <= e.high for p, e in pairs)
-
-        return all(stands(effect) for effect in one.fit.effects if is_shared(effect, self.apart))
+        told: dict[str, dict[str, dict[str, float]]] = {}
+        for own in self._estimates(one):
+            told.setdefault(own.effect, {})[own.name] = {"low": own.low, "high": own.high}
+        shared = [effect for effect in one.fit.effects if is_shared(effect, self.apart)]
+        return not any(holds_null(effect, told[effect.name]) for effect in shared)
 
     def _estimates(self, one: JudgedFit) -> tuple[ParameterEstimate, ...]:
         """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""

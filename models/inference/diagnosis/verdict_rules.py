@@ -11,7 +11,7 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.push_errors import Paired
-from slipmap.models.inference.results import Identification
+from slipmap.models.inference.results import Identification, holds_null
 from slipmap.models.physics.cell_grid import FloatArray
 
 LEVEL = 0.01
@@ -285,7 +285,7 @@ def objection(
         after: the same with them.
     """
     for effect in effects:
-        if holds_null(effect, learned):
+        if holds_null(effect, learned.effect_estimates[effect.name]):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
             return f"{whose} 90 % {HOLDS_NULL}"
     if locked_pushes_object(rough, before, after):
@@ -339,13 +339,6 @@ NOT_BETTER = "the locked pushes are not clearly predicted better with it"
 
 STAYS_OFF = "the locked pushes are predicted as badly with it as without"
 """The objection of `locked_pushes_stay_off`."""
-
-
-def holds_null(effect: Effect, learned: Identification) -> bool:
-    """Whether the 90 % interval of each of an effect's amplitudes contains its null (no effect)."""
-    told = learned.effect_estimates[effect.name]
-    amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]
-    return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
 
 
 def locked_pushes_object(rough: bool, before: LockedErrors | None, after: LockedErrors | None) -> bool:

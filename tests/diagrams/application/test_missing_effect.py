@@ -14,7 +14,7 @@ from slipmap.diagrams.application.commands.identify import _show_gain
 from slipmap.diagrams.application.reports.comparison_words import millimetres
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.push_errors import Paired
+from slipmap.models.inference.results import Identification, Quantity
 from slipmap.models.measurements import write_dataset
 
 
@@ -68,20 +68,36 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("factors", "sentence"),
+    ("factors", "low", "verdict", "sentence"),
     [
-        ([0.5, 0.6, 0.4, 0.5], "The pushes support table_tilt."),
-        ([0.5, 1.6, 0.7, 1.3], "pushes alone do not show whether table_tilt is present"),
-        ([1.5, 1.6, 1.3, 1.8], "THE PUSHES SPEAK AGAINST table_tilt."),
+        ([0.5, 0.6, 0.4, 0.5], 0.01, "for", "The pushes support table_tilt."),
+        (
+            [0.5, 0.6, 0.4, 0.5], -0.01, "undecided",
+            "The 90 % interval of table_tilt is consistent with no effect at all. These 4 pushes alone",
+        ),
+        ([0.5, 1.6, 0.7, 1.3], 0.01, "undecided", "pushes alone do not show whether table_tilt is present"),
+        ([1.5, 1.6, 1.3, 1.8], -0.01, "against", "THE PUSHES SPEAK AGAINST table_tilt."),
     ],
-)
-def test_pushes_speak_for_an_effect_only_where_they_agree(capsys, factors, sentence) -> None:  # type: ignore[no-untyped-def]
+)  # fmt: skip
+def test_pushes_speak_for_an_effect_only_where_they_agree_and_its_size_is_clear(
+    capsys, factors, low, verdict, sentence
+) -> None:  # type: ignore[no-untyped-def]
     misfits = np.array([1.0, 3.0, 10.0, 2.0])
-    result = SimpleNamespace(
-        judges="heldout",
-        errors=lambda role: np.full(4, 1e-3),
-        without_effects=SimpleNamespace(errors=lambda role: np.full(4, 2e-3)),
-        with_and_without=Paired.of(misfits, misfits * factors),
+    effects = effects_named(["table_tilt"], LIBRARY)
+    facts = tuple(
+        Quantity(f"table_tilt: {name}", "rad", 0.02, own, 0.03, True, "")
+        for name, own in (("down_x", low), ("down_y", -0.03))
     )
-    _show_gain(result, effects_named(["table_tilt"], LIBRARY))  # type: ignore[arg-type]
-    assert sentence in " ".join(capsys.readouterr().out.split())
+
+    def learned(factors, other=None):  # type: ignore[no-untyped-def]
+        pushes = tuple(
+            SimpleNamespace(role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=misfit))
+            for misfit in misfits * factors
+        )
+        return Identification(SimpleNamespace(effects=effects), pushes, facts, 0.0, without_effects=other)  # type: ignore[arg-type]
+
+    result = learned(factors, learned(np.ones(4)))
+    assert result.verdict == verdict
+    _show_gain(result, effects)
+    said = " ".join(capsys.readouterr().out.split())
+    assert sentence in said and ("90 % interval of" in said) == (low < 0.0 and verdict == "undecided")

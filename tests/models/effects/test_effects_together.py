@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numba import types
@@ -98,6 +100,29 @@ def test_formulas_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     again = programs.program_of(effects)
     assert again is not first
     assert (again.sizes == first.sizes).all()
+
+
+@pytest.mark.parametrize("keep", [0, 200])
+def test_torn_formulas_are_written_anew(keep: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "CACHE_FOLDER", tmp_path)
+    effects = (EFFECTS["table_tilt"],)
+    for _ in range(2):
+        programs._program_of.cache_clear()
+        assert programs.program_of(effects).parameters == 2
+        (path,) = tmp_path.glob("effects-*/program.py")
+        whole = path.read_bytes()
+        path.write_bytes(whole[:keep])
+    programs._program_of.cache_clear()
+    programs.program_of(effects)
+    assert path.read_bytes() == whole
+
+
+def test_formulas_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(programs, "CACHE_FOLDER", tmp_path / "file" / "kernels")
+    programs._program_of.cache_clear()
+    found = programs.program_of((EFFECTS["table_tilt"],))
+    assert found.parameters == 2 and found.addresses[0] != 0
 
 
 def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:

@@ -166,3 +166,16 @@ def test_shares_are_not_shown_if_maps_that_vary_strongly_were_not_compared(monke
     assert not any(after[name].shown for name in of_shares)
     assert any("how strongly the maps vary" in after[name].reason for name in of_shares)
     assert all(after[name] == before[name] for name in before if name not in of_shares)
+
+
+def test_a_mass_that_no_object_of_this_size_has_is_not_shown():
+    """Forces in grams: the block would be denser than gold."""
+    dataset, _ = pushed(0.3, (0.2, 0.3))
+    grams = [
+        replace(one, ft_wrench=Channel(one.ft_wrench.time, 102.0 * one.ft_wrench.values))
+        for one in dataset.trials
+    ]
+    facts = learned(replace(dataset, height=0.05, trials=tuple(grams)))
+    for name in INERTIAL:
+        assert not facts[name].shown and "is the force in N?" in facts[name].reason
+    assert facts["total friction"].shown and "is the force in N?" in facts["total friction"].reason

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.geometry import at_centroid, from_centroid, radius_of_gyration
 from slipmap.models.inference.gauss_newton import fit, of_dataset
 from slipmap.models.inference.likelihood import DrawnErrors, Likelihood, LikelihoodSettings
@@ -12,7 +13,7 @@ from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.measurements import DatasetError, Noise
 from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
-from slipmap.models.physics.rollout import Slider
+from slipmap.models.physics.rollout import RolloutError, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 
@@ -226,6 +227,26 @@ def test_a_fit_that_cannot_reach_a_useful_cost_is_given_up(likelihood):
     assert useful.best().cost == pytest.approx(whole.best().cost, rel=1e-9)
 
 
+def test_where_equations_overflow_a_step_fails_and_a_start_is_given_up(likelihood):
+    """As with a formula like exp(2000 x): the cost is finite there, its curvature is not."""
+    starts = np.array([likelihood.prior.start(mu) for mu in (0.15, 0.35)])
+    sound = fit(likelihood, starts[1:])
+
+    class Overflowing:
+        observations, start_sigma = likelihood.observations, likelihood.start_sigma
+
+        def linearise(self, z, offsets, strength, weights):
+            found = likelihood.linearise(z, offsets, strength, weights)
+            found.hessian[np.abs(z[:, -1] - starts[0, -1]) < 1e-3] = np.inf
+            return found
+
+    with np.errstate(all="raise"):
+        half = fit(Overflowing(), starts)
+    assert half.cost[0] == np.inf and half.best().cost == pytest.approx(sound.cost)
+    with pytest.raises(RolloutError, match="overflow"):
+        fit(Overflowing(), starts[:1])
+
+
 def test_fit_lowers_the_cost_and_stays_at_a_minimum(likelihood):
     prior = likelihood.prior
     start = prior.start(0.35)[None]
@@ -250,3 +271,6 @@ def test_huber_cost_is_linear_beyond_its_limit(likelihood):
 def test_a_fit_that_fails_names_the_dataset_and_what_to_check():
     with pytest.raises(DatasetError, match="dataset plate: how the pushes depend"), of_dataset("plate"):
         raise np.linalg.LinAlgError("not positive definite")
+    effects = effects_named(["table_tilt"])
+    with pytest.raises(DatasetError, match="plate: the model with table_tilt"), of_dataset("plate", effects):
+        raise RolloutError("a step did not converge")

@@ -45,6 +45,55 @@ def test_nothing_is_wrong_with_good_pushes():
     assert check.headline == "The recording is sound."
 
 
+@pytest.mark.parametrize(("spread", "jitters"), [(0.0, False), (0.002, False), (0.015, True)])
+def test_stamps_that_jitter_though_rows_are_even_are_wrong(spread, jitters, tmp_path):
+    rng = np.random.default_rng(3)
+
+    def unsteady(trial):
+        return replace(
+            trial,
+            **{
+                name: Channel(
+                    np.sort(channel.time + spread * rng.standard_normal(len(channel.time))), channel.values
+                )
+                for name, channel in waited(trial).channels.items()
+            },
+        )
+
+    dataset = straight_pushes(8)
+    dataset = replace(dataset, trials=tuple(unsteady(waited(one)) for one in dataset.trials))
+    found = [one for one in check_dataset(dataset).findings if one.what == "jitter of stamps"]
+    told = [
+        text
+        for text in read_dataset(write_dataset(dataset, tmp_path / "pushes")).warnings
+        if "jitter" in text
+    ]
+    assert len(found) == len(told) == int(jitters)
+    if jitters:
+        assert found[0].verdict == "wrong" and "`rate`" in found[0].advice
+        size = float(found[0].found.split("jitter by ")[1].split(" ms")[0])
+        assert size == pytest.approx(1e3 * spread, rel=0.5)
+        assert "evenly spaced" in told[0] and told[0].endswith(found[0].advice)
+
+
+def test_rows_that_are_missing_are_no_jitter():
+    rng = np.random.default_rng(4)
+
+    def dropped(trial):
+        kept = {name: rng.random(len(channel.time)) < 0.5 for name, channel in trial.channels.items()}
+        for rows in kept.values():
+            rows[[0, -1]] = True
+        return replace(
+            trial,
+            **{
+                name: Channel(channel.time[kept[name]], channel.values[kept[name]])
+                for name, channel in trial.channels.items()
+            },
+        )
+
+    assert not [one for one in changed(dropped).findings if one.what == "jitter of stamps"]
+
+
 def test_a_late_finger_is_told_with_its_size():
     def late(trial):
         return replace(trial, tip_pose=Channel(trial.tip_pose.time + 0.05, trial.tip_pose.values))
@@ -200,6 +249,22 @@ def test_free_slides_are_not_wrong(rate, place):
     slide = slid(np.arange(0.0, 0.4, 1.0 / rate), Channel(np.zeros(1), np.array([place])))
     check = check_dataset(replace(dataset, trials=tuple(map(slide, dataset.trials))))
     assert not check.wrong, [one for one in check.findings if one.verdict == "wrong"]
+
+
+@pytest.mark.parametrize(("factor", "wrong"), [(1.0, False), (1e3 / 9.81, True)], ids=["N", "grams"])
+def test_forces_that_no_object_of_this_size_needs_are_wrong(factor, wrong, tmp_path):
+    """Without a mass to compare them with."""
+    dataset = replace(straight_pushes(8), mass=None, height=0.02)
+    pushed = [
+        replace(one, ft_wrench=Channel(one.ft_wrench.time, factor * one.ft_wrench.values))
+        for one in dataset.trials
+    ]
+    dataset = replace(dataset, trials=tuple(pushed))
+    read = read_dataset(write_dataset(dataset, tmp_path / "pushes"))
+    assert ["in grams or mN?" in text for text in read.warnings] == [True] * wrong
+    found = [one for one in check_dataset(read).findings if one.what == "force and size"]
+    assert [one.verdict for one in found] == ["wrong"] * wrong
+    assert check_dataset(read).wrong == wrong
 
 
 @pytest.mark.parametrize(("mass", "wrong"), [(None, False), (1.0, False), (1000.0, True), (1e-3, True)])

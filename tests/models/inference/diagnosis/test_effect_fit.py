@@ -8,9 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 import yaml
 
 import slipmap
+from slipmap.models.effects import Effect, EffectError, Parameter
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import fitting
 from slipmap.models.inference.diagnosis.fitting import Fitter
@@ -88,3 +90,18 @@ def test_starts_that_fail_together_are_tried_one_by_one(monkeypatch) -> None:
     effects = effects_named(["table_tilt"])
     found = fitter.with_effects(effects, base.likelihood.error, base, np.zeros(2), afresh=True)
     assert tried == [2, 1, 1] and found.cost == 3.0
+
+
+class Explosive(Effect):
+    name = "explosive"
+    sentence = "A force that explodes."
+    parameters = (Parameter("size", "N", "of the force", -5.0, 5.0, 0.2, 0.0),)
+
+    def force(self, body, p):  # type: ignore[no-untyped-def]
+        return p.size * sp.exp(3000 * (body.x**2 + body.y**2 + 0.1)), 0, 0
+
+
+def test_an_effect_whose_derivatives_overflow_is_refused_without_warnings() -> None:
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=0)
+    with pytest.raises(EffectError, match=r"explosive cannot be computed .* derivatives overflow"):
+        identify(dataset, [Explosive()], hypotheses=2)

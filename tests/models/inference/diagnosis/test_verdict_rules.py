@@ -15,7 +15,6 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     Remainder,
     Rules,
     far_above_noise,
-    holds_null,
     locked_pushes_object,
     locked_pushes_stay_off,
     not_outdone,
@@ -23,6 +22,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     objections,
     with_better_predictors,
 )
+from slipmap.models.inference.results import holds_null
 
 ALIKE = {"far": 50.0, "near": 50.0}
 """Gains on pushes left out."""
@@ -89,7 +89,7 @@ def learned(effect, **intervals):
 )
 def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
     own = learned(effect, **intervals)
-    assert holds_null(effect, own) is holds
+    assert holds_null(effect, own.effect_estimates[effect.name]) is holds
     said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds
 
