@@ -60,7 +60,7 @@ lcm_option = click.option(
 def folder_option(default: str, more: str = "") -> Option:
     """The option `--output DIR`, which was `--out`, for the results of a run; `more` is added to its help."""
     about = f"Folder for pushes, belief, pictures and report.{more}"
-    return path_option("-o", "--output", "--out", "folder", default=default, metavar="DIR", about=about)
+    return path_option("-o", "--out", "--output", "folder", default=default, metavar="DIR", about=about)
 
 
 class CellRun(NamedTuple):
