@@ -4,7 +4,7 @@
 
 An object that slides exactly as the model says is explored with five pushes. Its likeliest explanation is a
 prior of the maps and a likelihood, so a posterior. It is sampled twice: by the randomised refits that beliefs
-consist of, and by Hamiltonian Monte Carlo (Neal, 2011), which is exact but takes thousands of times longer.
+consist of, and by Hamiltonian Monte Carlo (Neal, 2011): exact in the limit, but hundreds of times slower.
 """
 
 from __future__ import annotations
