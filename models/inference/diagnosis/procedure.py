@@ -8,7 +8,8 @@
    of step 2 that a refit does not find again does not count.
 4. Each remaining candidate is screened again: does anything gain on top of it? The true effect leaves nothing
    to gain; an impostor leaves the true one. The candidates that pass are the answer: one, or a set.
-5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library.
+5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library. Pairs are also
+   tried where much is left on top of all that pass; the locked pushes then decide between one and two.
 6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`). If
    it meets the locked pushes to the noise, it is adequate though something gains a little.
 
@@ -33,7 +34,13 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.effects.registry import candidates_given
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
-from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, open_trials, with_locked
+from slipmap.models.inference.diagnosis.locked import (
+    LockedErrors,
+    locked_errors,
+    locked_trials,
+    open_trials,
+    with_locked,
+)
 from slipmap.models.inference.diagnosis.outcomes import Outcome, with_other_causes
 from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
 from slipmap.models.inference.diagnosis.results import (
@@ -145,7 +152,7 @@ def diagnose(
     (inquiry, outcome), without = side_by_side(tasks)
     before = locked_errors(without)
 
-    def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
+    def judged(answer: Outcome, before: LockedErrors | None) -> tuple[Outcome, list[Identification]]:
         """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
         found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
         with_each = {
@@ -156,10 +163,15 @@ def diagnose(
         kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
-    outcome, learned = judged(outcome)
+    outcome, learned = judged(outcome, before)
+    second = None if quick else inquiry.second_beside_first()
+    if second is not None:
+        found, with_it = judged(second, locked_errors(learned[0]) if learned else before)
+        if found.rivals:
+            outcome, learned = found, with_it
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
         for again in inquiry.by_evidence(with_locked(few, locked), seed):
-            found, with_it = judged(again)
+            found, with_it = judged(again, before)
             if found.rivals:
                 outcome, learned = found, with_it
                 inquiry.accepted = list(found.effects)
@@ -218,6 +230,7 @@ class Inquiry:
         self.error = self.base.likelihood.error
         self.second_look = False
         self.refits = Refits(self.base, {}, {})
+        self.rest: dict[str, Screening] = {}  # on top of each candidate that was asked
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
         self.faint = self.only_a_trace = False
@@ -249,7 +262,7 @@ class Inquiry:
             return disagreement
         if not self.refits.fits:
             return outcomes.unknown(self.base, self.first)
-        rest = self._ask_what_is_left()
+        self._ask_what_is_left()
         if self.accepted:
             gains, predicted = self.refits.gains, self.first.by_name
             kept = not_outdone(self.accepted, self.left, gains, predicted)
@@ -257,12 +270,12 @@ class Inquiry:
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
         if float(self.first.gain.max()) < PROBE_GAIN:
             return self._too_faint()
-        found = self._pairs(rest)
+        found = self._pairs(self.rest)
         if found:
             return outcomes.two_at_once(found)
         if float(self.first.gain.max()) < UNKNOWN_GAIN:
             return self._too_faint()
-        name, screening = next(iter(rest.items()))
+        name, screening = next(iter(self.rest.items()))
         return outcomes.unknown(self.base, screening, self._nearest(name))
 
     def _nearest(self, name: str) -> str:
@@ -386,21 +399,20 @@ class Inquiry:
             return None
         return outcomes.disagreement(self.base, len(self.fitter.observations), p)
 
-    def _ask_what_is_left(self) -> dict[str, Screening]:
+    def _ask_what_is_left(self) -> None:
         """Gains on top of each candidate close to the best; accepts those that explain the data."""
         gains = self.refits.gains
         order = self.refits.order
         best = gains[order[0]]
         asked = [name for name in order if worth_asking(gains[name], best)][: 5 if self.draws else 2]
-        rest: dict[str, Screening] = {}
         faint: list[str] = []
         for step, name in enumerate(asked):
             self.report("checking what is left", step, len(asked))
             rival = self.rules.rivals_the_best(gains[name], best)
             if not (rival or self.draws):
                 continue
-            rest[name] = self._screen(self.refits.fits[name])
-            self.left[name] = self.rules.remainder(rest[name], gains[name])
+            self.rest[name] = self._screen(self.refits.fits[name])
+            self.left[name] = self.rules.remainder(self.rest[name], gains[name])
             explains = self.left[name].rejected_by is None
             if explains and rival and self.rules.stands(self.first, name, gains[name]):
                 self.accepted.append(name)
@@ -409,7 +421,21 @@ class Inquiry:
         if faint and not self.accepted:
             self.accepted, self.faint = faint, True
         self.report("checking what is left", len(asked), len(asked))
-        return rest
+
+    def second_beside_first(self) -> Outcome | None:
+        """Two effects, where each accepted one leaves much that a second effect explains.
+
+        What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves.
+        """
+        much = [
+            name
+            for name in self.accepted
+            if name in self.rest and self.rules.found(self.rest[name], UNKNOWN_GAIN, np.inf) is not None
+        ]
+        if not much or len(much) < len(self.accepted):
+            return None
+        found = self._pairs({name: self.rest[name] for name in much})
+        return outcomes.two_at_once(found) if found else None
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
         """Pairs of effects that together leave nothing, best first; several where the first is ambiguous."""
@@ -420,14 +446,34 @@ class Inquiry:
             if found and not self.rules.rivals_the_best(gains[name], best):
                 break
             self.report("trying pairs", step, _FIRSTS_TRIED)
-            first = self.refits.fits[name]
-            for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
-                together, second = self.base.cost - pair.cost, first.cost - pair.cost
-                if together > PAIR_GAIN and self.rules.completes(self._screen(pair), second):
-                    found.append(pair)
-                    break
+            pair = self._pair_with(name, rest[name])
+            if pair is not None:
+                found.append(pair)
         found.sort(key=lambda pair: pair.cost)
         return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
+
+    def _pair_with(self, name: str, rest: Screening) -> Fitted | None:
+        """A pair of a candidate and a second effect that together leave nothing, if there is one.
+
+        Tried are the effects that gain most on top of the candidate, then what gains most on top of a pair.
+        """
+        first, plain = self.refits.fits[name], self.refits.plain
+        tried: list[Effect] = []
+        on_top = [rest]
+        for screening in on_top:
+            untried = [effect for effect in self.effects if effect not in tried]
+            for pair in pairs(self.fitter, first, screening, untried, self.scene):
+                tried.append(pair.effects[-1])
+                left, second = self._screen(pair), first.cost - pair.cost
+                if plain.cost - pair.cost > PAIR_GAIN and self.rules.completes(
+                    left, self.refits.gains[name], second
+                ):
+                    return pair
+                if screening is not rest:
+                    break
+                if len(on_top) == 1:
+                    on_top.append(left)
+        return None
 
     def by_evidence(self, divided: PushDataset, seed: int) -> list[Outcome]:
         """What a fit that tolerates large errors names: two effects at once and the first of them, or one

@@ -30,6 +30,10 @@ _MATERIAL_BY_FAR = 0.01
 """The same where the addition gains more than `PROBE_GAIN`. Effects that only resembled the hidden one left
 28 nats or more, 1 to 3 % of their own gain; the hidden effects themselves left at most 13, under 0.5 %."""
 
+_LEFT_BY_ITSELF, _SHARE_OF_SECOND = 0.5 * _MATERIAL_BY_FAR, 0.2
+"""Shares of the gains of a first and of a second effect; up to the smaller one, what is left by both may come
+from the first one's exact form."""
+
 PROBE_GAIN = 20.0
 """Gain, in nats, below which a finding in the model without effects may come from errors of the grid and the
 contact: a probe's gain does not count, and no effect is named for it."""
@@ -188,13 +192,15 @@ class Rules:
             and self.beyond_chance(first, gain)
         )
 
-    def completes(self, rest: Screening, second_gain: float) -> bool:
-        """Whether a second effect that gains `second_gain` nats completes the explanation.
+    def completes(self, rest: Screening, first_gain: float, second_gain: float) -> bool:
+        """Whether a second effect that gains `second_gain` nats completes the explanation of a first one.
 
-        What is left must be small compared with the second effect's gain, not only with the gain of both.
+        What is left must be small compared with the second effect's gain, not only with the gain of both. Up
+        to a fifth of it is allowed where a first effect with a far larger gain leaves as much by itself.
         """
         found = self.found(rest, _REST_GAIN, _REST_GAIN)
-        enough = found is None or rest.gain[found] < 2 * _MATERIAL * second_gain
+        own = min(_LEFT_BY_ITSELF * first_gain, _SHARE_OF_SECOND * second_gain)
+        enough = found is None or rest.gain[found] < max(2 * _MATERIAL * second_gain, own)
         return second_gain > PROBE_GAIN and bool(enough)
 
     def rivals_the_best(self, gain: float, best: float) -> bool:
