@@ -63,6 +63,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     LEVEL,
     PAIR_GAIN,
     PROBE_GAIN,
+    REST_GAIN,
     ROUGH,
     UNKNOWN_GAIN,
     Remainder,
@@ -425,17 +426,27 @@ class Inquiry:
     def second_beside_first(self) -> Outcome | None:
         """Two effects, where each accepted one leaves much that a second effect explains.
 
-        What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves.
+        What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves. Or
+        it gains little only because an error model that was fitted with one effect forgives it.
         """
-        much = [
-            name
-            for name in self.accepted
-            if name in self.rest and self.rules.found(self.rest[name], UNKNOWN_GAIN, np.inf) is not None
-        ]
+        much = {name: self.rest[name] for name in self.accepted if self._leaves_much(name)}
         if not much or len(much) < len(self.accepted):
             return None
-        found = self._pairs({name: self.rest[name] for name in much})
+        found = [pair for pair in self._pairs(much) if self._needs_both(pair)]
         return outcomes.two_at_once(found) if found else None
+
+    def _leaves_much(self, name: str) -> bool:
+        """Whether much gains on top of a candidate, or something where pushes are missed by far."""
+        far = far_above_noise(self.misfit(self.refits.fits[name])) is not None
+        least = REST_GAIN if far else UNKNOWN_GAIN
+        return name in self.rest and self.rules.found(self.rest[name], least, np.inf) is not None
+
+    def _needs_both(self, pair: Fitted) -> bool:
+        """Whether the second effect gains much beside the first, and halves a misfit far above the noise."""
+        first = self.refits.fits[pair.effects[0].name]
+        left = far_above_noise(self.misfit(pair))
+        halved = left is None or left < 0.5 * typical_misfit(self.misfit(first))
+        return halved and first.cost - pair.cost > UNKNOWN_GAIN
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
         """Pairs of effects that together leave nothing, best first; several where the first is ambiguous."""

@@ -66,7 +66,7 @@ _LEAST_HELP = 0.1
 """Share by which an answer must lower the misfit of far-off locked pushes. The true effect lowers it by a
 large factor; one that overfits a few open pushes does not."""
 
-_REST_GAIN = 8.0
+REST_GAIN = 8.0
 """Gain, in nats, below which anything found on top of an effect may come from the effect's exact form."""
 
 _CLEARLY_WORSE = 0.02
@@ -162,7 +162,7 @@ class Rules:
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
         """What is left to gain on top of a candidate that gains `own_gain` nats when refitted."""
-        found = self.found(rest, _REST_GAIN, _REST_GAIN)
+        found = self.found(rest, REST_GAIN, REST_GAIN)
         top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
         share = _MATERIAL_BY_FAR if gain > PROBE_GAIN else _MATERIAL
@@ -198,7 +198,7 @@ class Rules:
         What is left must be small compared with the second effect's gain, not only with the gain of both. Up
         to a fifth of it is allowed where a first effect with a far larger gain leaves as much by itself.
         """
-        found = self.found(rest, _REST_GAIN, _REST_GAIN)
+        found = self.found(rest, REST_GAIN, REST_GAIN)
         own = min(_LEFT_BY_ITSELF * first_gain, _SHARE_OF_SECOND * second_gain)
         enough = found is None or rest.gain[found] < max(2 * _MATERIAL * second_gain, own)
         return second_gain > PROBE_GAIN and bool(enough)
@@ -242,7 +242,7 @@ def not_outdone(
     if not clean:
         return list(accepted)
     first = max(clean, key=lambda name: gains[name])
-    least = gains[first] - max(_REST_GAIN, _CLEARLY_WORSE * gains[first])
+    least = gains[first] - max(REST_GAIN, _CLEARLY_WORSE * gains[first])
 
     def stays(name: str) -> bool:
         return left[name].clean or gains[name] > least or predicted[name] > predicted[first]
