@@ -43,6 +43,12 @@ def tilted_and_oily_pushes() -> PushDataset:
     return _pushes("oily", hidden, length=(0.06, 0.14), fit=12, heldout=6)
 
 
+def late_and_oily_pushes() -> PushDataset:
+    """Pushes on an oily table, seen by a tracker that is so late that the oil hardly shows beside it."""
+    hidden = {"sensor_latency": [LATENCY], "viscous_friction": [DRAG]}
+    return _pushes("late and oily", hidden, speed=(0.05, 0.15))
+
+
 def _pushes(
     name: str,
     hidden: dict[str, list[float]],

@@ -153,26 +153,28 @@ def diagnose(
     (inquiry, outcome), without = side_by_side(tasks)
     before = locked_errors(without)
 
-    def judged(answer: Outcome, before: LockedErrors | None) -> tuple[Outcome, list[Identification]]:
+    def judged(
+        answer: Outcome, before: LockedErrors | None, rough: bool
+    ) -> tuple[Outcome, list[Identification]]:
         """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
         found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
         with_each = {
             outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
             for rival, own in zip(answer.rivals, found, strict=True)
         }
-        against = objections(with_each, inquiry.rough, before)
+        against = objections(with_each, rough, before)
         kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
-    outcome, learned = judged(outcome, before)
+    outcome, learned = judged(outcome, before, inquiry.rough)
     second = None if quick else inquiry.second_beside_first()
     if second is not None:
-        found, with_it = judged(second, locked_errors(learned[0]) if learned else before)
+        found, with_it = judged(second, locked_errors(learned[0]) if learned else before, True)
         if found.rivals:
             outcome, learned = found, with_it
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
         for again in inquiry.by_evidence(with_locked(few, locked), seed):
-            found, with_it = judged(again, before)
+            found, with_it = judged(again, before, inquiry.rough)
             if found.rivals:
                 outcome, learned = found, with_it
                 inquiry.accepted = list(found.effects)
@@ -426,27 +428,28 @@ class Inquiry:
     def second_beside_first(self) -> Outcome | None:
         """Two effects, where each accepted one leaves much that a second effect explains.
 
-        What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves. Or
-        it gains little only because an error model that was fitted with one effect forgives it.
+        What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves.
+        Or it gains little only because an error model that was fitted with one effect forgives it.
         """
         much = {name: self.rest[name] for name in self.accepted if self._leaves_much(name)}
         if not much or len(much) < len(self.accepted):
             return None
-        found = [pair for pair in self._pairs(much) if self._needs_both(pair)]
+        found = [pair for pair in self._pairs(much) if self._nearer(pair)]
         return outcomes.two_at_once(found) if found else None
 
     def _leaves_much(self, name: str) -> bool:
         """Whether much gains on top of a candidate, or something where pushes are missed by far."""
+        if name not in self.rest:
+            return False
         far = far_above_noise(self.misfit(self.refits.fits[name])) is not None
-        least = REST_GAIN if far else UNKNOWN_GAIN
-        return name in self.rest and self.rules.found(self.rest[name], least, np.inf) is not None
+        least = REST_GAIN if far else PROBE_GAIN
+        return self.rules.found(self.rest[name], least, np.inf) is not None
 
-    def _needs_both(self, pair: Fitted) -> bool:
-        """Whether the second effect gains much beside the first, and halves a misfit far above the noise."""
+    def _nearer(self, pair: Fitted) -> bool:
+        """Whether a pair comes near the noise, or halves the misfit of its first effect."""
         first = self.refits.fits[pair.effects[0].name]
         left = far_above_noise(self.misfit(pair))
-        halved = left is None or left < 0.5 * typical_misfit(self.misfit(first))
-        return halved and first.cost - pair.cost > UNKNOWN_GAIN
+        return left is None or left < 0.5 * typical_misfit(self.misfit(first))
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
         """Pairs of effects that together leave nothing, best first; several where the first is ambiguous."""

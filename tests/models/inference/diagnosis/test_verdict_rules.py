@@ -189,7 +189,7 @@ def made_inquiry(monkeypatch, gain, found=(), misfit=1.5, fault=None, vanishes=F
         "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda fitted=None: np.array([misfit]),
         "left": {"some": Remainder(None, 0.0, None, True)},
-        "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
+        "_ask_what_is_left": lambda: None, "rest": {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
     return inquiry
@@ -413,20 +413,97 @@ def test_a_gain_that_a_refit_does_not_find_again_does_not_count(gains, probe, va
     assert not rules.vanishes(first, {})  # not refitted
 
 
+def pair_inquiry(monkeypatch, gains, alone, tried=LIBRARY[1:2], complete=(True,), left=(1.2,)):
+    """An inquiry in which a first effect gains `alone` nats, and a pair with each tried one `gains`.
+
+    Whether a pair completes the explanation, and its misfit in units of noise, are given by turns.
+    """
+    inquiry = object.__new__(steps.Inquiry)
+    first = SimpleNamespace(cost=1000.0 - alone, effects=LIBRARY[:1])
+    made = [
+        SimpleNamespace(cost=1000.0 - gain, effects=(*LIBRARY[:1], effect), misfit=misfit)
+        for gain, effect, misfit in zip(gains, tried, left, strict=True)
+    ]
+    turns = iter(complete)
+    asked = []
+
+    def pairs(fitter, fitted, screening, effects, scene):
+        asked.append(screening)
+        yield from (pair for pair in made if pair.effects[-1] in effects and pair.on_top is screening)
+
+    for pair in made:
+        pair.on_top, pair.screening = "first", f"pair with {pair.effects[-1].name}"
+    monkeypatch.setattr(steps, "pairs", pairs)
+    for name, value in {
+        # Under its own error model, the cost of the model without effects says nothing.
+        "base": SimpleNamespace(cost=-500.0), "fitter": None, "effects": LIBRARY, "scene": None,
+        "refits": SimpleNamespace(
+            plain=SimpleNamespace(cost=1000.0), gains={"some": alone, LIBRARY[0].name: alone},
+            fits={"some": first, LIBRARY[0].name: first, "another": first},
+        ),
+        "report": print, "asked": asked, "made": made,
+        "rules": SimpleNamespace(completes=lambda rest, first, second: next(turns)),
+        "_screen": lambda pair: pair.screening,
+        "misfit": lambda fitted: np.array([getattr(fitted, "misfit", 30.0)]),
+    }.items():  # fmt: skip
+        setattr(inquiry, name, value)
+    return inquiry
+
+
 @pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
 def test_a_pair_has_to_gain_much_together(monkeypatch, together, named):
-    inquiry = object.__new__(steps.Inquiry)
-    first, both = SimpleNamespace(cost=1000.0 - 30.0), SimpleNamespace(cost=1000.0 - together)
-    monkeypatch.setattr(steps, "pairs", lambda *arguments: [both])
-    inquiry.base, inquiry.fitter, inquiry.effects, inquiry.scene = (
-        SimpleNamespace(cost=1000.0),
-        None,
-        (),
-        None,
+    inquiry = pair_inquiry(monkeypatch, [together], 30.0)
+    assert len(inquiry._pairs({"some": "first"})) == named
+
+
+def test_what_gains_on_top_of_a_pair_is_tried_in_its_place(monkeypatch):
+    """A force that is mirrored and turned looks like unequal gains, until these are added."""
+    inquiry = pair_inquiry(
+        monkeypatch, [120.0, 400.0], 30.0, LIBRARY[1:3], complete=(False, True), left=(1.2, 1.2)
     )
-    inquiry.refits, inquiry.report = SimpleNamespace(gains={"some": 30.0}, fits={"some": first}), print
-    inquiry.rules, inquiry._screen = SimpleNamespace(completes=lambda rest, second: True), lambda pair: None
-    assert len(inquiry._pairs({"some": None})) == named
+    inquiry.made[1].on_top = inquiry.made[0].screening
+    assert inquiry._pairs({"some": "first"}) == [inquiry.made[1]]
+    assert inquiry.asked == ["first", inquiry.made[0].screening]
+
+
+@pytest.mark.parametrize(
+    ("gain_on_top", "first_misfit", "pair_gain", "pair_misfit", "named"),
+    [
+        (149.0, 2.0, 200.0, 1.2, True),  # much gains on top of 27 000 nats
+        (20.0, 2.0, 200.0, 1.2, False),
+        (20.0, 30.0, 200.0, 1.2, True),  # little, but pushes are missed by far
+        (20.0, 30.0, 200.0, 20.0, False),  # and still are
+        (5.0, 30.0, 200.0, 1.2, False),
+        (149.0, 2.0, 40.0, 1.2, False),  # a second effect that gains little itself
+    ],
+)
+def test_one_effect_that_leaves_much_is_named_with_a_second(
+    monkeypatch, gain_on_top, first_misfit, pair_gain, pair_misfit, named
+):
+    name = LIBRARY[0].name
+    inquiry = pair_inquiry(monkeypatch, [27000.0 + pair_gain], 27000.0, left=[pair_misfit])
+    inquiry.refits.fits[name].misfit = first_misfit
+
+    def found(screening, floor, probe_floor):
+        return 0 if gain_on_top > floor else None
+
+    inquiry.rules.found = found
+    inquiry.accepted, inquiry.rest = [name], {name: "first"}
+    said = inquiry.second_beside_first()
+    assert (said is not None and said.together) is named
+    inquiry.accepted = [name, "another"]  # which leaves nothing
+    assert inquiry.second_beside_first() is None
+
+
+@pytest.mark.parametrize(
+    ("left", "first", "second", "complete"),
+    [(10.0, 300.0, 250.0, True), (40.0, 300.0, 250.0, False), (40.0, 10696.0, 400.0, True),
+     (40.0, 10696.0, 150.0, False), (60.0, 10696.0, 400.0, False), (0.0, 300.0, 15.0, False)],
+)  # fmt: skip
+def test_a_pair_may_leave_what_its_first_effect_leaves_by_itself(left, first, second, complete):
+    chance = np.full((1, 199), 5.0)
+    rest = Screening(LIBRARY[:1], np.array([left]), np.zeros(1), chance, chance, np.ones(1))
+    assert Rules(LIBRARY, simulated=True).completes(rest, first, second) is complete
 
 
 @pytest.mark.parametrize(("error", "words"), [(0.1, "about 10 % of"), (0.25, "25 % or more of")])
