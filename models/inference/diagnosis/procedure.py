@@ -167,11 +167,13 @@ def diagnose(
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
     outcome, learned = judged(outcome, before, inquiry.rough)
-    second = None if quick else inquiry.second_beside_first()
+    second = None if quick or before is None else inquiry.second_beside_first()
     if second is not None:
         found, with_it = judged(second, locked_errors(learned[0]) if learned else before, True)
         if found.rivals:
             outcome, learned = found, with_it
+        else:
+            outcome = replace(outcome, objections={**outcome.objections, **found.objections})
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
         for again in inquiry.by_evidence(with_locked(few, locked), seed):
             found, with_it = judged(again, before, inquiry.rough)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hidden_effects import DRAG, TILT, tilted_and_oily_pushes
+from hidden_effects import DRAG, LATENCY, TILT, late_and_oily_pushes, tilted_and_oily_pushes
 
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import Diagnosis
@@ -39,3 +39,14 @@ def test_the_parameters_are_those_of_the_common_fit(found):
         "table_tilt": ["down_x", "down_y"],
         "viscous_friction": ["drag_per_area"],
     }
+
+
+def test_a_second_effect_is_named_beside_one_that_explains_nearly_all():
+    """By the share of the gain that is left, the lag alone explains these pushes: 41 of 12 000 nats."""
+    found = diagnose(late_and_oily_pushes(), draws=99)
+    assert found.sentence == "The model lacks two effects at once: sensor_latency and viscous_friction."
+    assert {c.name for c in found.candidates if c.in_set} == {"sensor_latency"}
+    assert found.after.total_misfit < 0.1 * found.before.total_misfit
+    estimates = {p.effect: p for p in found.parameters}
+    assert estimates["sensor_latency"].low < LATENCY < estimates["sensor_latency"].high
+    assert estimates["viscous_friction"].low < DRAG < estimates["viscous_friction"].high
