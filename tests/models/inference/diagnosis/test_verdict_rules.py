@@ -474,7 +474,6 @@ def test_what_gains_on_top_of_a_pair_is_tried_in_its_place(monkeypatch):
         (20.0, 30.0, 200.0, 1.2, True),  # little, but pushes are missed by far
         (20.0, 30.0, 200.0, 20.0, False),  # and still are
         (5.0, 30.0, 200.0, 1.2, False),
-        (149.0, 2.0, 40.0, 1.2, False),  # a second effect that gains little itself
     ],
 )
 def test_one_effect_that_leaves_much_is_named_with_a_second(
