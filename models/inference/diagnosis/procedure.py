@@ -154,15 +154,18 @@ def diagnose(
     before = locked_errors(without)
 
     def judged(
-        answer: Outcome, before: LockedErrors | None, rough: bool
+        answer: Outcome, baseline: LockedErrors | None, rough: bool
     ) -> tuple[Outcome, list[Identification]]:
-        """An answer without rivals that the locked pushes contradict, and what is learned with the rest."""
+        """An answer without rivals that the locked pushes contradict, and what is learned with the rest.
+
+        It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
+        """
         found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
         with_each = {
             outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
             for rival, own in zip(answer.rivals, found, strict=True)
         }
-        against = objections(with_each, rough, before)
+        against = objections(with_each, rough, baseline)
         kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
@@ -475,7 +478,7 @@ class Inquiry:
         """
         first, plain = self.refits.fits[name], self.refits.plain
         tried: list[Effect] = []
-        on_top = [rest]
+        on_top = [rest]  # and then what is left by the first pair
         for screening in on_top:
             untried = [effect for effect in self.effects if effect not in tried]
             for pair in pairs(self.fitter, first, screening, untried, self.scene):

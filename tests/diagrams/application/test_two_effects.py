@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hidden_effects import DRAG, LATENCY, TILT, late_and_oily_pushes, tilted_and_oily_pushes
 
+from slipmap.models.inference.diagnosis import procedure as steps
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import Diagnosis
 
@@ -41,8 +42,16 @@ def test_the_parameters_are_those_of_the_common_fit(found):
     }
 
 
-def test_a_second_effect_is_named_beside_one_that_explains_nearly_all():
+def test_a_second_effect_is_named_beside_one_that_explains_nearly_all(monkeypatch):
     """By the share of the gain that is left, the lag alone explains these pushes: 41 of 12 000 nats."""
+    asked, objections = [], steps.objections
+
+    def judged(rivals, rough, baseline):
+        asked.append((rough, baseline))
+        return objections(rivals, rough, baseline)
+
+    monkeypatch.setattr(steps, "objections", judged)
+    monkeypatch.setattr(steps.Inquiry, "rough", False)
     found = diagnose(late_and_oily_pushes(), draws=99)
     assert found.sentence == "The model lacks two effects at once: sensor_latency and viscous_friction."
     assert {c.name for c in found.candidates if c.in_set} == {"sensor_latency"}
@@ -50,3 +59,7 @@ def test_a_second_effect_is_named_beside_one_that_explains_nearly_all():
     estimates = {p.effect: p for p in found.parameters}
     assert estimates["sensor_latency"].low < LATENCY < estimates["sensor_latency"].high
     assert estimates["viscous_friction"].low < DRAG < estimates["viscous_friction"].high
+    # Both must be clearly better than the lag alone, which is already better than nothing.
+    (loosely, without), (clearly, with_lag) = asked
+    assert (loosely, clearly) == (False, True)
+    assert with_lag.total_misfit < 0.6 * without.total_misfit

@@ -23,6 +23,10 @@ from slipmap.diagrams.application.studies.blind.secret_effects import LIBRARY, E
 _PLAIN = Effect()
 
 
+class SameThingError(Exception):
+    """Two effects change the same thing."""
+
+
 class Both(Effect):
     """What either of two effects changes."""
 
@@ -42,12 +46,11 @@ def both(one: Effect, other: Effect) -> Effect:
     """Two effects as one.
 
     Raises:
-        ValueError: both change the same thing.
+        SameThingError: both change the same thing.
     """
     first, second = _changed(one), _changed(other)
-    same = first.keys() & second.keys() - {"begin"}
-    if same:
-        raise ValueError(f"both effects change {', '.join(sorted(same))}")
+    if first.keys() & second.keys() - {"begin"}:
+        raise SameThingError
 
     def begin(push: int, pushes: int, points: int) -> None:
         one.begin(push, pushes, points)
@@ -73,7 +76,7 @@ def row(seed: int, folder: Path) -> tuple[str, list[str]]:
         one, other = (LIBRARY[i] for i in rng.choice(len(LIBRARY), 2, replace=False))
         try:
             generate(seed, folder, effect=together(one, other), strength="clear")
-        except ValueError:
+        except SameThingError:
             continue
         break
     hidden = {one.name, other.name}

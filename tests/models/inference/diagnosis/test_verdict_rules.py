@@ -490,7 +490,7 @@ def test_one_effect_that_leaves_much_is_named_with_a_second(
     inquiry.accepted, inquiry.rest = [name], {name: "first"}
     said = inquiry.second_beside_first()
     assert (said is not None and said.together) is named
-    inquiry.accepted = [name, "another"]  # which leaves nothing
+    inquiry.accepted = [name, "another"]  # on top of which nothing was tried
     assert inquiry.second_beside_first() is None
 
 
