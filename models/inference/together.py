@@ -253,13 +253,15 @@ class Together:
     Args:
         taught: the datasets.
         apart: owners of effects that they do not share.
+        weight: scale of effects that are forces, one for all datasets, N; the objects' mean weight if None.
     """
 
-    def __init__(self, taught: Sequence[Taught], apart: Collection[str] = ()) -> None:
+    def __init__(
+        self, taught: Sequence[Taught], apart: Collection[str] = (), weight: float | None = None
+    ) -> None:
         self.taught = list(taught)
         self.apart = frozenset(apart)
-        # Effects that are forces have one scale for all datasets.
-        self.weight = float(np.exp(np.mean(np.log([one.weight for one in taught]))))
+        self.weight = weight or float(np.exp(np.mean(np.log([one.weight for one in taught]))))
         self.base_cost = sum(float(one.base.cost[0]) for one in taught)
         self._offsets = np.concatenate([one.base.offsets for one in taught], axis=1)
 
@@ -289,6 +291,7 @@ class Together:
         progress: StageProgress,
         draws: int = 0,
         rng: np.random.Generator | None = None,
+        beside: JointFit | None = None,
     ) -> list[FirstGain]:
         """Gain of each effect with all maps refitted, to first order, from at most `_SCREENED` pushes per
         dataset; first those of the largest evidence (the gain, less what the parameters would gain anyway).
@@ -304,17 +307,21 @@ class Together:
             progress: called with the numbers of parts done and of all parts.
             draws: random sign patterns for the p-values; without any there are none.
             rng: of the signs.
+            beside: a model `around` which the datasets are taken, whose effects stay in the model and are
+                refitted too; none of them is tried.
         """
         rng = rng or np.random.default_rng(0)
         scene = self.scene()
         starts = [effect.start_values(scene) for effect in effects]
         at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+        present = () if beside is None else beside.effects
+        every_effect = (*effects, *present)
         # By start: gain of the data, the same without the prior's pull, then of each pattern of signs.
         gains: list[list[FloatArray]] = [[] for _ in effects]
         occam: list[list[float]] = [[] for _ in effects]
         rounds = max(len(start) for start in starts)
         few = [one.few(_SCREENED) for one in self.taught]
-        likelihoods = [one.likelihood(effects, self.weight) for one in few]
+        likelihoods = [one.likelihood(every_effect, self.weight) for one in few]
         signs = []
         for every, one in zip(self.taught, few, strict=True):
             turned = every.widening * rng.choice([-1.0, 1.0], (len(one.observations), draws))
@@ -325,27 +332,31 @@ class Together:
             for k, (one, likelihood) in enumerate(zip(few, likelihoods, strict=True)):
                 progress(g * len(self.taught) + k, rounds * len(self.taught))
                 prior = likelihood.prior
-                values = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
+                tried = [start[min(g, len(start) - 1)] for start in starts]
+                values = np.concatenate(tried if beside is None else [*tried, beside.values(k)])
                 z = np.concatenate([one.base.z[0], prior.effect_coordinates(values)])
                 weights = np.ones((1, len(one.observations)))
                 equations = likelihood.linearise(z[None], one.base.offsets, np.ones(1), weights, by_push=True)
+                there = prior.plain + at[-1] + np.flatnonzero(prior.amplitudes[at[-1] :])
+                free = np.concatenate([np.arange(prior.plain), there])
+                pull = np.concatenate([one.base.z[0], np.zeros(len(there))])
                 for i in asked:
                     own = prior.plain + at[i] + np.flatnonzero(effects[i].amplitudes)
-                    said[i].append(_eliminated(equations, one.base.z[0], own, signs[k]))
+                    said[i].append(_eliminated(equations, free, pull, own, signs[k]))
             for i in asked:
                 if self.is_shared(effects[i]):
                     normals, slopes = zip(*said[i], strict=True)
                     said[i] = [(np.sum(normals, axis=0), np.sum(slopes, axis=0))]
                 gains[i].append(np.sum([_fall(normal, slope) for normal, slope in said[i]], axis=0))
                 occam[i].append(sum(_occam(normal) for normal, _ in said[i]))
-        tried = [np.array(own) for own in gains]
-        chance = np.max([own[:, 2:].max(axis=0) for own in tried], axis=0)
+        by_start = [np.array(own) for own in gains]
+        chance = np.max([own[:, 2:].max(axis=0) for own in by_start], axis=0)
 
         def p_value(gain: float) -> float | None:
             return float((1 + (chance >= gain).sum()) / (1 + draws)) if draws else None
 
         found = []
-        for effect, own, start, spent in zip(effects, tried, starts, occam, strict=True):
+        for effect, own, start, spent in zip(effects, by_start, starts, occam, strict=True):
             best = int(np.argmax(own[:, 0]))
             gain = float(own[best, 0])
             p = p_value(float(own[:, 1].max()))
@@ -388,7 +399,7 @@ class Together:
             pull = np.concatenate([maps, np.zeros(len(free) - len(maps))])
             for effect in asked:
                 own = prior.plain + at[effect][effect.amplitudes]
-                said[effect].append(_eliminated(equations, pull, own, free=free))
+                said[effect].append(_eliminated(equations, free, pull, own))
         found: dict[tuple[str, str], tuple[float, float, float]] = {}
         for effect in asked:
             own = at[effect][effect.amplitudes]
@@ -427,6 +438,19 @@ class Together:
         likelihood = JointLikelihood(prior, parts)
         found = fit(likelihood, z[None], prior_mean=mean[None], offsets=self._offsets, iterations=40)
         return JointFit(tuple(effects), likelihood, mean, found)
+
+    def around(self, found: JointFit) -> Together:
+        """The same datasets, with the maps and under the α of a fitted model."""
+        taught = []
+        for k, one in enumerate(self.taught):
+            prior, part = found.likelihood.prior, found.likelihood.parts[k]
+            base = replace(
+                one.base,
+                z=found.found.z[:, prior.places[k][: part.prior.plain]],
+                offsets=found.found.offsets[:, found.likelihood.pushes[k]],
+            )
+            taught.append(replace(one, settings=part.settings, base=base))
+        return Together(taught, self.apart, self.weight)
 
     def refined(self, found: JointFit, progress: StageProgress) -> JointFit:
         """The same effects fitted again, as they are reported: with the α of largest evidence with
@@ -482,6 +506,10 @@ class JointFit:
         prior = self.likelihood.parts[k].prior
         return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0, : self._count]
 
+    def by_effect(self, k: int) -> list[FloatArray]:
+        """The same, (P_e,) of each effect."""
+        return np.split(self.values(k), np.cumsum([len(effect.parameters) for effect in self.effects])[:-1])
+
     @property
     def scales(self) -> FloatArray:
         """(P,) standard deviations of the parameters in the prior."""
@@ -505,7 +533,7 @@ class JointFit:
         amplitudes = np.flatnonzero(prior.amplitudes[:P])
         free = np.delete(np.arange(prior.size), prior.plain + np.arange(P))
         pull = (self.found.z[0] - self.mean)[place][free]
-        normal, slope = _eliminated(equations, pull, prior.plain + amplitudes, free=free)
+        normal, slope = _eliminated(equations, free, pull, prior.plain + amplitudes)
         covariance = np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(slope)))
         coordinates, deviations = z[0, prior.plain : prior.plain + P].copy(), np.zeros(P)
         coordinates[amplitudes] -= covariance @ slope[:, 0]
@@ -545,15 +573,13 @@ def between(values: FloatArray, deviations: FloatArray) -> float:
 
 def _eliminated(
     equations: NormalEquations,
+    free: np.ndarray,
     pull: FloatArray,
     own: np.ndarray,
     signs: FloatArray | None = None,
-    free: np.ndarray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (c, c) and slopes (c, 1 + D) of some coordinates, with the others eliminated that have a
-    prior (`free`, or else the maps, which are first): the slope of the data, then those with the pushes'
-    signs (B, D) changed."""
-    maps = np.arange(len(pull)) if free is None else free
+    """Normal matrix (c, c) and slopes (c, 1 + D) of some coordinates, with the free ones eliminated, which a
+    prior pulls: the slope of the data, then those with the pushes' signs (B, D) changed."""
     hessian, slopes = equations.hessian[0], equations.gradient[0][:, None]
     pulls = pull[:, None]
     if signs is not None:
@@ -561,9 +587,9 @@ def _eliminated(
         slopes = np.concatenate([slopes, equations.push_gradient[:, 0].T @ signs], axis=1)
         # The prior balances only the data.
         pulls = np.concatenate([pulls, np.zeros((len(pull), signs.shape[1]))], axis=1)
-    across = hessian[np.ix_(maps, own)]
-    columns = np.concatenate([across, slopes[maps] + pulls], axis=1)
-    solved = np.linalg.solve(hessian[np.ix_(maps, maps)] + np.eye(len(maps)), columns)
+    across = hessian[np.ix_(free, own)]
+    columns = np.concatenate([across, slopes[free] + pulls], axis=1)
+    solved = np.linalg.solve(hessian[np.ix_(free, free)] + np.eye(len(free)), columns)
     normal = hessian[np.ix_(own, own)] - across.T @ solved[:, : len(own)]
     return normal, slopes[own] - across.T @ solved[:, len(own) :]
 

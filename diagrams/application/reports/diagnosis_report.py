@@ -87,7 +87,7 @@ def joint_report(
         f"Next: {diagnosis.next_step(where)}",
     ]
     sections = []
-    for name in diagnosis.effects[:1]:
+    for name in diagnosis.effects if diagnosis.together else diagnosis.effects[:1]:
         own = [p for p in diagnosis.parameters if p.effect == name]
         sentence = next(effect.sentence for effect in effects if effect.name == name)
         body = f"<p>{escape(sentence)}</p>"
@@ -100,7 +100,7 @@ def joint_report(
             body += picture(alone_figure(diagnosis.datasets, own), "Parameters from each dataset alone")
             body += '<p class="note">Dots and lines: from each dataset alone, with 90 % intervals. Band: from'
             body += " all datasets together.</p>"
-        sections.append(Section("answer", f"What is missing: {name}", body))
+        sections.append(Section(f"answer-{name}", f"What is missing: {name}", body))
     numbers = table(
         phrases.JOINT_RANKING, phrases.joint_ranking(diagnosis), numbers=range(1, 5),
         marked=[c.in_set for c in diagnosis.candidates],

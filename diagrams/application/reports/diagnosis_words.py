@@ -16,7 +16,6 @@ from slipmap.diagrams.application.reports.comparison_words import millimetres
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.results import (
     CandidateResult,
     DatasetResult,
@@ -35,6 +34,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
 )
 from slipmap.models.inference.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
 
 if TYPE_CHECKING:
     from slipmap.diagrams.systems.diagnosis import Finding, Repair
@@ -146,17 +146,23 @@ def improvement(diagnosis: Diagnosis) -> str:
     return (
         f"{which}, the model is {path} off on average along the path {before_label(diagnosis)} and"
         f" {path_after} {after_label(diagnosis)}; at the end, {end} and {end_after} (ADD: mean distance"
-        f" between the object's predicted and measured points).{_still_missed(diagnosis, after)}"
+        " between the object's predicted and measured points)."
+        f"{_still_missed(after_label(diagnosis), after.misfit)}"
     )
 
 
-def _still_missed(diagnosis: Diagnosis, after: LockedErrors) -> str:
-    """A sentence that begins with a space where the answer leaves the locked pushes far off; else empty."""
-    misfit = far_above_noise(after.misfit)
+def _still_missed(model: str, misfits: FloatArray) -> str:
+    """A sentence that begins with a space where the answer leaves the locked pushes far off; else empty.
+
+    Args:
+        model: with which effects, in words.
+        misfits: (L,) of the locked pushes with them.
+    """
+    misfit = far_above_noise(misfits)
     if misfit is None:
         return ""
     return (
-        f" Even {after_label(diagnosis)}, the typical locked push is {misfit:.0f} times the sensor noise off:"
+        f" Even {model}, the typical locked push is {misfit:.0f} times the sensor noise off:"
         " something else is missing too, the outline or the recording is wrong, or pushes scatter."
     )
 
@@ -315,16 +321,17 @@ def joint_ranking(diagnosis: JointDiagnosis) -> list[list[str]]:
             p_shown(c.p_value),
             nats(c.gain),
             nats(c.evidence),
-            _joint_standing(c),
+            _joint_standing(c, diagnosis),
         ]
         for c in diagnosis.candidates
     ]
 
 
-def _joint_standing(candidate: JointCandidate) -> str:
+def _joint_standing(candidate: JointCandidate, diagnosis: JointDiagnosis) -> str:
     """Whether several datasets rule a candidate out, and why."""
     if candidate.in_set:
-        return "not ruled out"
+        others = [name for name in diagnosis.effects if name != candidate.name]
+        return f"needed, together with {', '.join(others)}" if diagnosis.together else "not ruled out"
     if candidate.evidence is None:
         return candidate.objection or "behind others to first order"
     few = "explains too little" if candidate.evidence <= EVIDENCE else "others explain more"
@@ -410,11 +417,15 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
     elif against:
         better = len(falls) - len(against)
         which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
-    alternatives = isinstance(found, JointDiagnosis)
+    alternatives = isinstance(found, JointDiagnosis) and not found.together
     names = found.effects[0] if alternatives else " and ".join(found.effects)
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
-    return f"With {names}, the locked pushes of {which}. Their total cost {turns} by {nats(abs(total))} nats."
+    misfits = np.concatenate([one.after.misfit for one in found.datasets if one.after is not None])
+    return (
+        f"With {names}, the locked pushes of {which}. Their total cost {turns} by {nats(abs(total))} nats."
+        f"{_still_missed(f'with {names}', misfits)}"
+    )
 
 
 _DID = {

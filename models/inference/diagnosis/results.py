@@ -256,9 +256,9 @@ class DatasetResult:
     locked: tuple[str, ...]  # pushes that judge
     whole: bool  # whether the whole object was locked away: its open pushes taught only its maps
     before: LockedErrors | None  # without effects; None where nothing was locked
-    after: LockedErrors | None  # with the best effect; None where there is none
-    fall: float | None  # drop in cost of its locked pushes with the best effect, nats
-    # the best effect's parameters from this dataset alone, to first order; empty for a whole locked object
+    after: LockedErrors | None  # with the answer, or the first of several; None where there is none
+    fall: float | None  # drop in cost of its locked pushes with it, nats
+    # its parameters from this dataset alone, to first order; empty for a whole locked object
     alone: tuple[ParameterEstimate, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -291,21 +291,23 @@ class JointDiagnosis:
 
     verdict: str  # adequate, effect, ambiguous or undecided
     sentence: str  # the verdict in words
-    effects: tuple[str, ...]  # what the data cannot rule out, best first
+    effects: tuple[str, ...]  # what the data cannot rule out, best first; two at once if `together`
     shared: bool  # whether the datasets have one set of the best effect's parameters
-    parameters: tuple[ParameterEstimate, ...]  # shared parameters of the effects, each effect fitted alone
+    # shared parameters of the effects; each effect is fitted alone unless both are needed at once
+    parameters: tuple[ParameterEstimate, ...]
     candidates: tuple[JointCandidate, ...]  # best first
     p_value: float | None  # of the largest first gain
     datasets: tuple[DatasetResult, ...]
-    fall: float | None  # drop in cost of all locked pushes with the best effect, nats
+    fall: float | None  # drop in cost of all locked pushes with the answer, nats
     # what `slipmap check` finds wrong, by the name of the dataset; empty where the model is adequate
     doubts: dict[str, tuple[str, ...]]
     seconds: float
     seed: int
+    together: bool = False  # whether two effects are needed at once
 
     @property
     def effect(self) -> str | None:
-        """The one effect that is named."""
+        """The one effect that is named, the first where two are needed."""
         return self.effects[0] if self.verdict == "effect" else None
 
     def next_step(self, where: str = "DATASET...") -> str:
@@ -323,8 +325,10 @@ class JointDiagnosis:
     def _step(self, where: str) -> str:
         """What follows from the verdict alone."""
         if self.effect is not None:
-            more = "" if any(self.effect == effect.name for effect in LIBRARY) else _own(where)
-            command = f"slipmap fit {_plain(where)} --effect {self.effect}{more} -o with-{self.effect}.npz"
+            names = " ".join(f"--effect {name}" for name in self.effects)
+            more = "" if set(self.effects) <= {effect.name for effect in LIBRARY} else _own(where)
+            output = f"with-{'-'.join(self.effects)}.npz"
+            command = f"slipmap fit {_plain(where)} {names}{more} -o {output}"
             return f"run `{command}` to learn this model, with one belief of each object."
         if self.verdict == "adequate":
             return (
@@ -345,6 +349,7 @@ class JointDiagnosis:
             "next_step": self.next_step(where),
             "effect": self.effect,
             "effects": list(self.effects),
+            "together": self.together,
             "shared": self.shared,
             "parameters": _by_effect(self.parameters),
             "candidates": [candidate.to_json() for candidate in self.candidates],

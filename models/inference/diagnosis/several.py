@@ -9,6 +9,7 @@ tracker.
 4. The locked pushes judge each rival, with the maps of every object refitted and the shared parameters held.
    Their cost must drop in total and in most datasets. A rival that falls behind on open and locked pushes
    together is out. If a rival that fails on the locked pushes is still far ahead, nothing is named.
+5. If one effect is named, a second one is looked for beside it, under the α that suits the first.
 
 Effects of an object have separate parameters in each dataset; for a whole locked object they are free.
 
@@ -45,6 +46,7 @@ from slipmap.models.inference.diagnosis.results import (
 from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
@@ -64,6 +66,9 @@ _ALONE, _AHEAD = 20.0, 0.8
 
 _RIVAL = 3.0
 """Nats by which a rival may be behind, and by which the cost of the locked pushes must drop: 20 to 1."""
+
+_SECONDS = 4
+"""Number of second effects that are refitted beside a first."""
 
 _JUDGED = 3
 """Most effects that the locked pushes judge."""
@@ -207,9 +212,7 @@ def named_by_evidence(
     evidence = {one.name: one.evidence for one in found.candidates if one.evidence is not None}
     if found.effect is None or found.effect != _far_ahead(evidence):
         return ()
-    second = inquiry.second_to(found.effect)
-    names = [found.effect] if second is None else [found.effect, second]
-    return tuple(next(effect for effect in effects if effect.name == name) for name in names)
+    return tuple(next(effect for effect in effects if effect.name == name) for name in found.effects)
 
 
 def _far_ahead(evidence: Mapping[str, float]) -> str | None:
@@ -217,6 +220,18 @@ def _far_ahead(evidence: Mapping[str, float]) -> str | None:
     first, *others = sorted(evidence, key=lambda name: -evidence[name])
     least = max([_ALONE, *(evidence[name] / _AHEAD for name in others)])
     return first if evidence[first] >= least else None
+
+
+def _judged_better(first: JudgedFit, both: JudgedFit) -> bool:
+    """Whether the locked pushes are predicted better by a second model, in total and in most datasets."""
+    pairs = [
+        (one.misfit, other.misfit)
+        for one, other in zip(first.after, both.after, strict=True)
+        if one is not None and other is not None
+    ]
+    paired = Paired.of(*(np.concatenate(misfits) for misfits in zip(*pairs, strict=True)))
+    more = replace(both, falls=[b - a for a, b in zip(first.falls, both.falls, strict=True)])
+    return more.fall > _RIVAL and more.falls_in_most and paired.ratio < 1.0
 
 
 class _Inquiry:
@@ -243,15 +258,13 @@ class _Inquiry:
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
-        self.fits: dict[str, JointFit] = {}  # of single effects, by name
-        self.starts: dict[str, FloatArray] = {}  # their parameters to start from
-        self.judged: dict[str, JudgedFit] = {}  # those that the locked pushes have judged
 
     def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
         stage = partial(self.report, "screening effects")
         first = self.together.first_gains(self.effects, stage, draws, self.rng)
         base = self.together.fitted((), ())
+        fits: dict[str, JointFit] = {}
         evidence: dict[str, float] = {}
         objections: dict[str, str] = {}
         for step, one in enumerate(first[:_REFITTED]):
@@ -261,8 +274,7 @@ class _Inquiry:
             except (RolloutError, np.linalg.LinAlgError):
                 objections[one.effect.name] = "not refitted"
                 continue
-            self.fits[one.effect.name] = fit
-            self.starts[one.effect.name] = one.start
+            fits[one.effect.name] = fit
             evidence[one.effect.name] = fit.evidence(base)
         self.report("refitting with effects", _REFITTED, _REFITTED)
         ahead = sorted(evidence, key=lambda name: -evidence[name])
@@ -271,66 +283,94 @@ class _Inquiry:
         judged: list[JudgedFit] = []
         for step, name in enumerate(asked):
             try:
-                judged.append(self._judge(self.fits[name], evidence[name], part_of(stage, step, len(asked))))
+                judged.append(self._judge(fits[name], evidence[name], part_of(stage, step, len(asked))))
             except (RolloutError, np.linalg.LinAlgError):
                 objections[name] = "not refitted"
-        self.judged = {one.name: one for one in judged}
         there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
         objections |= {one.name: self._objection(one) for one in judged if one not in there}
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
+        together, answer = self.together, fits[kept[0].name] if kept else base
+        # A first that the locked pushes object to may be right with a second.
+        leader = (kept or sorted(judged, key=lambda one: -one.score))[0] if len(kept) < 2 and judged else None
+        both = None if leader is None else self._with_second(leader, objections)
+        if leader is not None and both is not None:
+            objection = self._objection_to_second(leader, both)
+            if objection is None:
+                kept, together, answer = [both], self.together.around(both.fit), both.fit
+            else:
+                objections[both.fit.effects[-1].name] = objection
+        named = [effect.name for one in kept for effect in one.fit.effects]
         remaining = {}
         if draws:
-            answer = self.fits[kept[0].name] if kept else base
             starts = {one.effect: one.start for one in first}
             with suppress(RolloutError, np.linalg.LinAlgError):
-                remaining = self.together.remaining(self.effects, [starts[e] for e in self.effects], answer)
+                remaining = together.remaining(self.effects, [starts[e] for e in self.effects], answer)
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
                 one.gain,
                 one.p_value,
-                base.cost - self.fits[one.effect.name].cost if one.effect.name in self.fits else None,
+                base.cost - fits[one.effect.name].cost if one.effect.name in fits else None,
                 evidence.get(one.effect.name),
-                any(one.effect.name == rival.name for rival in kept),
-                objections.get(one.effect.name),
+                one.effect.name in named,
+                None if one.effect.name in named else objections.get(one.effect.name),
                 tuple(
                     ParameterEstimate(one.effect.name, p.name, p.unit, *remaining[one.effect.name, p.name])
                     for p in one.effect.parameters
-                    if (one.effect.name, p.name) in remaining
-                    and all(one.effect.name != rival.name for rival in kept)
+                    if (one.effect.name, p.name) in remaining and one.effect.name not in named
                 ),
             )
             for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
         )
         return self._answer(kept, judged, candidates)
 
-    def second_to(self, name: str) -> str | None:
-        """The effect that is clearly missing besides a first, which was named; None where there is none.
+    def _with_second(self, first: JudgedFit, objections: dict[str, str]) -> JudgedFit | None:
+        """The model with the effect whose evidence beside a first one is large and far ahead of the next,
+        judged by the locked pushes; None where there is none, with an objection to each of several.
 
-        It counts by the same rules: its evidence on top of the first, and the fall of the locked pushes' cost
-        beyond that by the first alone.
+        It is looked for under the α that suits the first, since the one without effects hides what is small
+        beside it.
         """
-        first = self.fits[name]
+        around, values = self.together.around(first.fit), first.fit.by_effect(0)
+        others = [effect for effect in self.effects if effect not in first.fit.effects]
+        stage = partial(self.report, "trying a second effect")
+        try:
+            on_top = around.first_gains(others, part_of(stage, 0, 2), beside=first.fit) if others else []
+            alone = around.fitted(first.fit.effects, values)
+        except (RolloutError, np.linalg.LinAlgError):
+            return None
         pairs: dict[str, JointFit] = {}
-        for step, other in enumerate(self.fits):
-            self.report("trying a second effect", step, len(self.fits))
-            if other == name:
-                continue
-            effects = (*first.effects, *self.fits[other].effects)
-            with suppress(RolloutError, np.linalg.LinAlgError):
-                pairs[other] = self.together.fitted(effects, [first.values(0), self.starts[other]])
-        evidence = {other: pair.evidence(first) for other, pair in pairs.items()}
+        for step, one in enumerate(on_top[:_SECONDS]):
+            part_of(stage, 1, 2)(step, _SECONDS)
+            if one.evidence > EVIDENCE:
+                with suppress(RolloutError, np.linalg.LinAlgError):
+                    effects = (*first.fit.effects, one.effect)
+                    pairs[one.effect.name] = around.fitted(effects, [*values, one.start])
+        stage(1, 1)
+        evidence = {name: pair.evidence(alone) for name, pair in pairs.items()}
         second = _far_ahead(evidence) if evidence else None
         if second is None:
+            least = max(_ALONE, _AHEAD * max(evidence.values(), default=0.0))
+            close = [name for name, gain in evidence.items() if gain > least]
+            for name in close:
+                rivals = ", ".join(rival for rival in close if rival != name)
+                objections[name] = f"gains much beside {first.name}, but so would {rivals}"
             return None
         with suppress(RolloutError, np.linalg.LinAlgError):
-            judged = self._judge(pairs[second], evidence[second], lambda done, total: None)
-            if judged.fall > self.judged[name].fall + _RIVAL and self._there(judged):
-                return second
+            return self._judge(pairs[second], evidence[second], partial(self.report, "judging both"))
         return None
+
+    def _objection_to_second(self, first: JudgedFit, both: JudgedFit) -> str | None:
+        """What speaks against a second effect beside a first one; None where both are needed."""
+        against = None
+        if not (both.falls_in_most and both.fall > _RIVAL and self._there(both)):
+            against = self._objection(both)
+        elif not _judged_better(first, both):
+            against = f"the locked pushes are not clearly predicted better with both than with {first.name}"
+        return against and f"gains much beside {first.name}, but {against}"
 
     def learned_with_all(self, hypotheses: int) -> JointIdentification:
         """Fit all effects at once, judge them, and learn a belief of each object; `seconds` stays 0.
@@ -338,15 +378,14 @@ class _Inquiry:
         Raises:
             DatasetError: the model with the effects cannot be fitted.
         """
-        first = self.together.first_gains(self.effects, partial(self.report, "screening effects"))
-        starts = {one.effect.name: one.start for one in first}
         names = " and ".join(effect.name for effect in self.effects)
         base = self.together.fitted((), ())
-        self.report("refitting with effects", 0, 1)
         try:
-            fit = self.together.fitted(self.effects, [starts[effect.name] for effect in self.effects])
-            self.report("refitting with effects", 1, 1)
-            evidence = fit.evidence(base)
+            fit = self._one_by_one(self.effects)
+            # Evidence is counted under the α without effects, as in the diagnosis of a single one.
+            single = len(fit.effects) == 1
+            counted = fit if single else self.together.fitted(fit.effects, fit.by_effect(0))
+            evidence = counted.evidence(base)
             judged = self._judge(fit, evidence, partial(self.report, "judging by locked pushes"))
         except (RolloutError, np.linalg.LinAlgError) as error:
             raise DatasetError(
@@ -381,6 +420,24 @@ class _Inquiry:
             verdict, said[verdict], tuple(effect.name for effect in self.effects), self._estimates(judged),
             evidence, judged.fall, self._by_dataset(judged), tuple(learned), 0.0, self.seed,
         )  # fmt: skip
+
+    def _one_by_one(self, effects: Sequence[Effect]) -> JointFit:
+        """The model with some effects, each of which starts where it gains most beside those before it.
+
+        Raises:
+            RolloutError: it cannot be computed.
+        """
+        stage = partial(self.report, "refitting with effects")
+        first, *others = effects
+        (best,) = self.together.first_gains([first], part_of(stage, 0, len(effects)))
+        fit = self.together.fitted([first], [best.start])
+        for step, effect in enumerate(others, 1):
+            before = self.together.refined(fit, part_of(stage, step, len(effects)))
+            around = self.together.around(before)
+            (best,) = around.first_gains([effect], lambda done, total: None, beside=before)
+            fit = around.fitted((*before.effects, effect), [*before.by_effect(0), best.start])
+        stage(1, 1)
+        return fit
 
     def _place(self, k: int) -> int | None:
         """Place of dataset k among those that teach effects; None for a whole locked object."""
@@ -503,11 +560,15 @@ class _Inquiry:
     def _answer(
         self, kept: Sequence[JudgedFit], judged: Sequence[JudgedFit], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
-        names = tuple(one.name for one in kept)
         best = kept[0] if kept else None
+        names = tuple(effect.name for one in kept for effect in one.fit.effects)
+        together = len(kept) == 1 and len(names) == 2
         squares = [one[0].misfit ** 2 for one in self.before if one is not None]
         if len(names) == 1:
             verdict, sentence = "effect", f"The model lacks one effect in these datasets: {names[0]}."
+        elif together:
+            verdict = "effect"
+            sentence = f"The model lacks two effects at once in these datasets: {names[0]} and {names[1]}."
         elif names:
             verdict = "ambiguous"
             sentence = (
@@ -533,7 +594,7 @@ class _Inquiry:
             candidates, next((c.p_value for c in candidates if c.first_gain == largest), None),
             self._by_dataset(best), None if best is None else best.fall,
             {} if verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
-            0.0, self.seed,
+            0.0, self.seed, together,
         )  # fmt: skip
 
 

@@ -130,6 +130,47 @@ def test_what_is_printed_names_sizes_and_the_next_command(capsys):
         assert words in printed
 
 
+def two_at_once():
+    """A diagnosis that names a lag and lengths that are too long, both needed."""
+    one = made(4.0, 5.0)
+    scale = ParameterEstimate("tracker_scale", "excess", "1", 0.06, 0.05, 0.07)
+    datasets = tuple(dataclasses.replace(d, alone=(*d.alone, scale)) for d in one.datasets)
+    second = JointCandidate("tracker_scale", 9.0, 0.4, 12.0, 8.0, True, None)
+    return dataclasses.replace(
+        one, effects=("sensor_latency", "tracker_scale"), together=True, datasets=datasets,
+        parameters=(*one.parameters, scale), candidates=(*one.candidates, second),
+    )  # fmt: skip
+
+
+def test_two_effects_that_are_both_needed_are_told_as_one_answer():
+    found = two_at_once()
+    standings = {row[0]: row[-1] for row in joint_ranking(found)}
+    assert standings["sensor_latency"] == "needed, together with tracker_scale"
+    assert standings["tracker_scale"] == "needed, together with sensor_latency"
+    assert where_it_falls(found).startswith("With sensor_latency and tracker_scale, the locked pushes of")
+    names = "--effect sensor_latency --effect tracker_scale -o with-sensor_latency-tracker_scale.npz"
+    assert f"`slipmap fit A B {names}`" in found.next_step("A B")
+    assert found.to_json()["together"] and not made(4.0, 5.0).to_json()["together"]
+    dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=2, heldout=1)
+    text = joint_report(found, [dataset, dataset], LIBRARY, "A B")
+    for words in ("is missing: sensor_latency", "is missing: tracker_scale", "excess", "latency, s"):
+        assert words in text
+    rivals = joint_report(dataclasses.replace(found, together=False), [dataset, dataset], LIBRARY, "A B")
+    assert "is missing: tracker_scale" not in rivals
+
+
+def test_an_answer_that_leaves_locked_pushes_far_off_says_so():
+    found = made(4.0, 5.0)
+    assert "Even with sensor_latency, the typical locked push is 4 times the sensor noise off" in (
+        where_it_falls(found)
+    )
+    near = tuple(
+        dataclasses.replace(d, after=dataclasses.replace(d.after, misfit=np.array([1.5, 2.0])))
+        for d in found.datasets
+    )
+    assert "Even with" not in where_it_falls(dataclasses.replace(found, datasets=near))
+
+
 def test_a_turned_tracker_is_also_told_where_the_pushes_are():
     dataset, _ = slipmap_package.simulated_hammer(seed=1, fit=1, heldout=1)
     poses = np.concatenate([t.object_pose.values[:, :2] for t in dataset.trials])
@@ -156,7 +197,7 @@ def test_a_turned_tracker_is_also_told_where_the_pushes_are():
     assert said(-0.002) == ""
 
 
-@pytest.mark.parametrize("diagnosis", [made(4.0, -1.0), made(None, None, verdict="undecided")])
+@pytest.mark.parametrize("diagnosis", [made(4.0, -1.0), made(None, None, verdict="undecided"), two_at_once()])
 def test_json_is_as_described(diagnosis):
     document = json.loads(json.dumps(diagnosis.to_json()))
     assert_as_described("diagnose", document)

@@ -34,6 +34,10 @@ class Shift(Effect):
         return pose.x + p.x, pose.y, pose.theta
 
 
+class Again(Shift):
+    name = "again"
+
+
 def shifted(dataset, x):
     """The same pushes before a tracker that reports x too much."""
     trials = []
@@ -128,6 +132,28 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.02)
 
 
+def test_gains_beside_a_fitted_model_are_those_under_its_error_and_from_its_maps(recorded):
+    tilted = [shifted(recorded.dataset, x) for x in (8e-3, 8.001e-3)]
+    taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in tilted]
+    together, shift = Together(taught), Shift()
+    (first,) = together.first_gains([shift], lambda done, total: None)
+    named = together.refined(together.fitted([shift], [first.start]), lambda done, total: None)
+    around = together.around(named)
+    for k, (before, now) in enumerate(zip(together.taught, around.taught, strict=True)):
+        # The shift explains the pushes, so that they are trusted more.
+        assert now.settings == named.likelihood.parts[k].settings != before.settings
+        assert now.base.z.shape == before.base.z.shape
+        assert now.base.z[0] == pytest.approx(named.found.z[0, named.likelihood.prior.places[k]][:-1])
+        assert now.base.offsets.shape == before.base.offsets.shape
+    assert around.weight == together.weight
+    # At the fitted model nothing is left to gain, and what a second shift would gain is the first one's.
+    (beside,) = around.first_gains([SHARED], lambda done, total: None, beside=named)
+    (twice,) = around.first_gains([Again()], lambda done, total: None, beside=named)
+    (alone,) = together.first_gains([Again()], lambda done, total: None)
+    assert beside.gain < 3.0 and twice.gain < 0.1 and alone.gain > 30.0
+    assert list(map(list, named.by_effect(0))) == [list(named.values(0))]
+
+
 def test_what_is_not_named_is_bounded_beside_the_answer(recorded):
     datasets = [shifted(recorded.dataset, 2e-3), shifted(recorded.dataset.with_fit_pushes(3), 2e-3)]
     taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in datasets]
@@ -165,10 +191,10 @@ def test_signs_of_whole_pushes_turn_their_slopes_and_leave_the_prior_aside(parts
     part, plain = parts[1], parts[1].prior.plain
     z = np.full((1, part.prior.size), 0.1)
     equations = part.linearise(z, np.zeros((1, 3, 3)), np.ones(1), np.ones((1, 3)), by_push=True)
-    own, pull = np.array([plain]), z[0, :plain]
+    own, maps, pull = np.array([plain]), np.arange(plain), z[0, :plain]
     signs = np.array([[1.0, -1.0, -1.0], [1.0, -1.0, 1.0], [1.0, -1.0, 1.0]])
-    normal, slopes = _eliminated(equations, pull, own, signs)
-    _, alone = _eliminated(equations, np.zeros(plain), own)
+    normal, slopes = _eliminated(equations, maps, pull, own, signs)
+    _, alone = _eliminated(equations, maps, np.zeros(plain), own)
     assert slopes.shape == (1, 4) and slopes[0, 1] == pytest.approx(alone[0, 0])
     assert slopes[0, 0] != pytest.approx(alone[0, 0]) and slopes[0, 2] == pytest.approx(-alone[0, 0])
     assert abs(slopes[0, 3]) != pytest.approx(abs(alone[0, 0]), rel=1e-3)

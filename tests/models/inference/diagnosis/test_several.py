@@ -140,6 +140,89 @@ def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
     assert asked(recorded.dataset) == []
 
 
+@pytest.fixture(scope="module")
+def late_and_stretched(pair):
+    return [stretched(one, 0.06) for one in pair]
+
+
+def test_two_effects_that_two_datasets_share_are_named_together(late_and_stretched):
+    found = diagnose_together(late_and_stretched, effects=EFFECTS)
+    assert found.verdict == "effect" and found.together and found.shared
+    assert set(found.effects) == {"sensor_latency", "tracker_scale"}
+    assert f"two effects at once in these datasets: {' and '.join(found.effects)}." in found.sentence
+    sizes = {p.name: p for p in found.parameters}
+    assert sizes["latency"].low < 0.03 < sizes["latency"].high
+    assert sizes["excess"].low < 0.06 < sizes["excess"].high
+    assert sum(one.in_set for one in found.candidates) == 2
+    assert {p.effect for one in found.datasets for p in one.alone} == set(found.effects)
+    assert all((one.after.misfit < 0.75 * one.before.misfit).all() for one in found.datasets)
+    # A fit of both gives the same numbers, and so does the belief of each object start from them.
+    fitted = fit_together(late_and_stretched, found.effects, hypotheses=2)
+    assert fitted.verdict == "for" and fitted.fall == pytest.approx(found.fall, rel=1e-6)
+    for own, other in zip(fitted.parameters, found.parameters, strict=True):
+        assert dataclasses.astuple(own)[3:] == pytest.approx(dataclasses.astuple(other)[3:], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changed", "objection"),
+    [
+        # Better than nothing, but not better than the first alone; and worse than nothing.
+        (lambda judged, first: first.falls, "not clearly predicted better with both than with"),
+        (lambda judged, first: [f - 1e3 * k for k, f in enumerate(judged.falls)], "not clearly predicted"),
+        (lambda judged, first: [f + 50.0 - 60.0 * k for k, f in enumerate(first.falls)], "with both than"),
+    ],
+)
+def test_a_second_effect_that_the_locked_pushes_do_not_support_is_not_named(
+    late_and_stretched, monkeypatch, changed, objection
+):
+    own, singles = several._Inquiry._judge, {}
+
+    def judge(self, fit, evidence, progress):
+        judged = own(self, fit, evidence, progress)
+        if len(fit.effects) > 1:
+            first = singles[fit.effects[0].name]
+            return dataclasses.replace(judged, falls=changed(judged, first))
+        return singles.setdefault(judged.name, judged)
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    found = diagnose_together(late_and_stretched, effects=EFFECTS, draws=0)
+    assert found.verdict == "effect" and not found.together and len(found.effects) == 1
+    (second,) = {"sensor_latency", "tracker_scale"} - set(found.effects)
+    (said,) = (one.objection for one in found.candidates if one.name == second)
+    assert (
+        said.startswith(f"gains much beside {found.effect}, but the locked pushes are") and objection in said
+    )
+
+
+def test_second_effects_that_cannot_be_told_apart_are_not_named(late_and_stretched):
+    """Two copies of the second effect gain as much beside the first."""
+
+    class Twin(TrackerScale):
+        name = "twin"
+
+    found = diagnose_together(late_and_stretched, effects=[SensorLatency(), TrackerScale(), Twin()], draws=0)
+    said = {one.name: one.objection for one in found.candidates}
+    if found.effects == ("sensor_latency",):
+        assert said["twin"] == "gains much beside sensor_latency, but so would tracker_scale"
+        assert said["tracker_scale"] == "gains much beside sensor_latency, but so would twin"
+    else:
+        assert set(found.effects) == {"tracker_scale", "twin"} and not found.together
+
+
+def test_a_first_effect_that_is_right_only_with_a_second_is_named_with_it(late_and_stretched, monkeypatch):
+    """The locked pushes object to every effect alone."""
+    own = several._Inquiry._judge
+
+    def judge(self, fit, evidence, progress):
+        judged = own(self, fit, evidence, progress)
+        return judged if len(fit.effects) > 1 else dataclasses.replace(judged, falls=[-5.0, 2.0])
+
+    monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    found = diagnose_together(late_and_stretched, effects=EFFECTS, draws=0)
+    assert found.together and set(found.effects) == {"sensor_latency", "tracker_scale"}
+    assert all(one.objection is None for one in found.candidates if one.in_set)
+
+
 def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):
     both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
     own = several._Inquiry._judge
