@@ -15,7 +15,7 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.fitting import MOTION_ERRORS, Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.diagnosis.verdict_rules import STAYS_OFF
+from slipmap.models.inference.diagnosis.verdict_rules import FAR_BEHIND, STAYS_OFF
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.results import Identification
@@ -119,12 +119,11 @@ def without_those_objected_to(
         return replace(whole, objections=objections)
     names = list(objections)
     clauses = dict.fromkeys(objections.values())
-    stays_off = STAYS_OFF in clauses
     sentence = (
-        f"On the open pushes, {' or '.join(names)} would explain {'something' if stays_off else 'much'}, but"
-        f" {' or '.join(clauses)}"
+        f"On the open pushes, {' or '.join(names)} would explain"
+        f" {'something' if STAYS_OFF in clauses else 'much'}, but {' or '.join(clauses)}"
     )
-    if stays_off:
+    if STAYS_OFF in clauses or FAR_BEHIND in clauses:
         found = unknown(base, screening)
         return replace(
             found,

@@ -11,6 +11,7 @@ from slipmap.models.inference.diagnosis import outcomes, procedure as steps
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import (
+    FAR_BEHIND,
     STAYS_OFF,
     Remainder,
     Rules,
@@ -56,10 +57,13 @@ def errors(*misfits):
 @pytest.mark.parametrize(
     ("before", "after", "objects"),
     [
-        ((1.5, 1.7), (1.4, 1.5), False),
+        ((1.5, 1.7), (0.9, 1.1), False),
+        ((1.5, 1.7, 2.0), (1.4, 1.6, 1.9), False),  # a little, but in each push alike
+        ((1.5, 1.7, 2.0), (1.5, 1.2, 1.9), True),  # a little, in one of them
         ((1.5, 1.5), (1.5, 1.5), True),  # nothing falls
         ((1.2, 2.0), (0.9, 2.3), True),  # near to the noise the root mean square has to fall, too
-        ((2.0, 10.2), (1.1, 15.1), False),  # far from it one push near to balance does not decide
+        # far from it one push near to balance does not decide
+        ((2.4, 2.0, 10.2, 4.0), (1.1, 1.1, 15.1, 1.4), False),
         ((20.0, 20.0), (21.0, 21.0), True),
     ],
 )
@@ -73,9 +77,12 @@ TILT, MASS = (
 
 
 def learned(effect, **intervals):
+    """What is learned with an effect, which meets both open pushes to the noise."""
     told = {p.name: {"low": -1.0, "high": 1.0} for p in effect.parameters}
     told |= {name: {"low": low, "high": high} for name, (low, high) in intervals.items()}
-    return SimpleNamespace(effect_estimates={effect.name: told})
+    pushes = [SimpleNamespace(role="fit", errors=SimpleNamespace(misfit=misfit)) for misfit in (0.8, 1.25)]
+    pushes.append(SimpleNamespace(role="heldout", errors=SimpleNamespace(misfit=50.0)))
+    return SimpleNamespace(effect_estimates={effect.name: told}, pushes=pushes)
 
 
 @pytest.mark.parametrize(
@@ -92,6 +99,26 @@ def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
     assert holds_null(effect, own.effect_estimates[effect.name]) is holds
     said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds
+
+
+@pytest.mark.parametrize(
+    ("after", "objects"),
+    [
+        ((2.9, 2.9), False),  # near to the noise
+        ((3.5, 3.5), True),
+        ((1.2, 9.0), True),
+        ((1.0, 8.5), False),  # the typical one counts
+    ],
+)
+def test_an_answer_that_only_describes_the_open_pushes_is_not_named(after, objects):
+    """It misses the typical open push by once the noise."""
+    own = learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01))
+    said = objection((TILT,), own, False, errors(20.0, 20.0), errors(*after))
+    assert (said == FAR_BEHIND) is objects
+    # Locked pushes that are no further off than the open ones do not speak against it.
+    for push in own.pushes:
+        push.errors.misfit *= 4.0
+    assert objection((TILT,), own, False, errors(20.0, 20.0), errors(*after)) is None
 
 
 @pytest.mark.parametrize(
@@ -117,16 +144,17 @@ def test_locked_pushes_do_not_choose_between_effects_that_predict_them_alike(sha
 
 
 def test_an_interval_that_holds_no_effect_drops_what_leaves_locked_pushes_far_off():
-    before = errors(10.0, 10.0)
-    tilted = ((TILT,), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01)), errors(8.8, 8.8))
-    loose = ((MASS,), learned(MASS, share=(0.0, 0.23)), errors(9.5, 9.5))
+    before = errors(3.1, 3.1)
+    tilted = ((TILT,), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01)), errors(2.73, 2.73))
+    loose = ((MASS,), learned(MASS, share=(0.0, 0.23)), errors(2.95, 2.95))
     assert list(objections({"table_tilt": tilted, "loose_mass": loose}, False, before)) == ["loose_mass"]
 
 
 def test_an_effect_of_a_pair_must_have_an_amplitude():
     before, told = errors(10.0, 10.0), learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01))
     both = SimpleNamespace(
-        effect_estimates=told.effect_estimates | learned(MASS, share=(0.0, 0.23)).effect_estimates
+        effect_estimates=told.effect_estimates | learned(MASS, share=(0.0, 0.23)).effect_estimates,
+        pushes=told.pushes,
     )
     rivals = {"alone": ((TILT,), told, errors(2.0, 2.0)), "both": ((TILT, MASS), both, errors(2.1, 2.1))}
     assert list(objections(rivals, False, before)) == ["both"]
@@ -157,6 +185,8 @@ def test_a_rival_that_something_speaks_against_leaves_the_set():
     assert "table_tilt or loose_mass" in none.sentence and "no or its interval" in none.sentence
     off = left(table_tilt=STAYS_OFF, loose_mass=STAYS_OFF)
     assert (off.verdict, off.depends_on is None) == ("unknown", False)
+    behind = left(table_tilt=FAR_BEHIND, loose_mass=FAR_BEHIND)
+    assert behind.verdict == "unknown" and "would explain much, but with it, the" in behind.sentence
 
 
 @pytest.mark.parametrize(
