@@ -10,8 +10,9 @@
    to gain; an impostor leaves the true one. The candidates that pass are the answer: one, or a set.
 5. If none passes, pairs are tried; if no pair passes, the effect is unknown to the library. Pairs are also
    tried where much is left on top of all that pass; the locked pushes then decide between one and two.
-6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`). If
-   it meets the locked pushes to the noise, it is adequate though something gains a little.
+6. If nothing is named and the model is far off, a fit that tolerates large errors is tried (`several`). It
+   also decides between one effect and two where pushes are missed by far with the one. If the model without
+   effects meets the locked pushes to the noise, it is adequate though something gains a little.
 
 `verdict_rules` holds the thresholds, `outcomes` the verdicts.
 """
@@ -22,7 +23,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -170,7 +171,8 @@ def diagnose(
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
 
     outcome, learned = judged(outcome, before, inquiry.rough)
-    second = None if quick or before is None else inquiry.second_beside_first()
+    by_evidence = cache(partial(inquiry.by_evidence, with_locked(few, locked), seed))
+    second = None if quick or before is None else inquiry.second_beside_first(by_evidence)
     if second is not None:
         found, with_it = judged(second, locked_errors(learned[0]) if learned else before, True)
         if found.rivals:
@@ -178,11 +180,11 @@ def diagnose(
         else:
             outcome = replace(outcome, objections={**outcome.objections, **found.objections})
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
-        for again in inquiry.by_evidence(with_locked(few, locked), seed):
+        for again in by_evidence():
             found, with_it = judged(again, before, inquiry.rough)
             if found.rivals:
                 outcome, learned = found, with_it
-                inquiry.accepted = list(found.effects)
+                inquiry.accepted = []
                 break
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
@@ -190,7 +192,7 @@ def diagnose(
     outcome = with_other_causes(outcome, dataset, without, after, free_mass)
     return Diagnosis(
         **vars(outcome),
-        candidates=tuple(inquiry.candidates(learned)),
+        candidates=tuple(inquiry.candidates(learned, outcome.effects)),
         p_value=inquiry.p_value,
         open_trials=tuple(o.trial for o in observations),
         locked=tuple(locked),
@@ -430,17 +432,26 @@ class Inquiry:
             self.accepted, self.faint = faint, True
         self.report("checking what is left", len(asked), len(asked))
 
-    def second_beside_first(self) -> Outcome | None:
+    def second_beside_first(self, by_evidence: Callable[[], list[Outcome]]) -> Outcome | None:
         """Two effects, where each accepted one leaves much that a second effect explains.
 
         What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves.
-        Or it gains little only because an error model that was fitted with one effect forgives it.
+        Or it gains little only because an error model that was fitted with one effect forgives it. Where
+        pushes are missed by far, a fit that tolerates large errors decides, if it names the same first effect.
+
+        Args:
+            by_evidence: what that fit names.
         """
+        fits = self.refits.fits
+        if any(far_above_noise(self.misfit(fits[name])) is not None for name in self.accepted):
+            found = by_evidence()
+            if found and set(found[-1].effects) <= set(self.accepted):
+                return found[0] if found[0].together else None
         much = {name: self.rest[name] for name in self.accepted if self._leaves_much(name)}
         if not much or len(much) < len(self.accepted):
             return None
-        found = [pair for pair in self._pairs(much) if self._nearer(pair)]
-        return outcomes.two_at_once(found) if found else None
+        nearer = [pair for pair in self._pairs(much) if self._nearer(pair)]
+        return outcomes.two_at_once(nearer) if nearer else None
 
     def _leaves_much(self, name: str) -> bool:
         """Whether much gains on top of a candidate, or something where pushes are missed by far."""
@@ -521,7 +532,7 @@ class Inquiry:
                 found.append(outcomes.one_of([fitted]) if count == 1 else outcomes.two_at_once([fitted]))
         return found
 
-    def candidates(self, learned: Sequence[Identification]) -> list[CandidateResult]:
+    def candidates(self, learned: Sequence[Identification], answer: Sequence[str]) -> list[CandidateResult]:
         """All named candidates, best first; those in the answer carry the parameters that were learned."""
         told: dict[str, tuple[ParameterEstimate, ...]] = {}
         for one in learned:
@@ -544,7 +555,7 @@ class Inquiry:
                     rejected_by=left.rejected_by if left else None,
                     remaining_gain=left.gain if left else None,
                     remaining_p=left.p_value if left else None,
-                    in_set=name in self.accepted,
+                    in_set=name in self.accepted or name in answer,
                     parameters=own,
                 )
             )

@@ -194,9 +194,9 @@ def named_by_evidence(
 ) -> tuple[Effect, ...]:
     """The effects that one dataset names by evidence and locked pushes, under the forgiving likelihood.
 
-    Where pushes are missed by many times the noise, a few of them decide a strict fit. The effect must have
-    the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic; so
-    must a second one with the first in the model.
+    Where pushes are missed by many times the noise, a few of them decide a strict fit. A single effect must
+    have the largest evidence, far ahead of the next and beyond what errors of the grid and contact can mimic;
+    of two, so must the second with the first in the model.
 
     Args:
         dataset: with the locked pushes held out.
@@ -210,7 +210,7 @@ def named_by_evidence(
     inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
     found = inquiry.run(0)
     evidence = {one.name: one.evidence for one in found.candidates if one.evidence is not None}
-    if found.effect is None or found.effect != _far_ahead(evidence):
+    if not found.together and (found.effect is None or found.effect != _far_ahead(evidence)):
         return ()
     return tuple(next(effect for effect in effects if effect.name == name) for name in found.effects)
 

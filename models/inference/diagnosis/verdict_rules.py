@@ -67,8 +67,8 @@ _LEAST_HELP = 0.1
 large factor; one that overfits a few open pushes does not."""
 
 _SLIGHT = 0.7
-"""Ratio of locked misfits above which an answer helps so little that this must exceed the scatter from push to
-push."""
+"""Ratio of locked misfits above which an answer helps so little that this must exceed the scatter from push
+to push."""
 
 _FAR_BEHIND = 2.0
 """Misfit of the typical locked push, over that of the typical open one, above which an answer describes the
