@@ -437,7 +437,7 @@ class Inquiry:
 
         What is left is small beside a gain of 20 000 nats, but far more than an effect's exact form leaves.
         Or it gains little only because an error model that was fitted with one effect forgives it. Where
-        pushes are missed by far, a fit that tolerates large errors decides, if it names the same first effect.
+        pushes are missed by far, a fit that tolerates large errors decides, if it names the same first.
 
         Args:
             by_evidence: what that fit names.

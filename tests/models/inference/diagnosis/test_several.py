@@ -1,6 +1,7 @@
 """What several datasets miss together."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -221,6 +222,20 @@ def test_a_first_effect_that_is_right_only_with_a_second_is_named_with_it(late_a
     found = diagnose_together(late_and_stretched, effects=EFFECTS, draws=0)
     assert found.together and set(found.effects) == {"sensor_latency", "tracker_scale"}
     assert all(one.objection is None for one in found.candidates if one.in_set)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_one_effect_has_to_be_far_ahead_of_the_next_and_two_need_not(recorded, monkeypatch, together):
+    """Beside a soft finger, a lag explains nearly as much, until the second effect is in the model."""
+    candidates = [
+        SimpleNamespace(name=effect.name, evidence=evidence)
+        for effect, evidence in zip(EFFECTS, (300.0, 40.0, 290.0), strict=True)
+    ]
+    names = ("sensor_latency", "anisotropic_table")[: 1 + together]
+    found = SimpleNamespace(candidates=candidates, together=together, effect=names[0], effects=names)
+    monkeypatch.setattr(several._Inquiry, "run", lambda self, draws: found)
+    named = named_by_evidence(recorded.dataset, EFFECTS, 0, lambda done, total: None)
+    assert tuple(effect.name for effect in named) == (names if together else ())
 
 
 def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):

@@ -518,10 +518,34 @@ def test_one_effect_that_leaves_much_is_named_with_a_second(
 
     inquiry.rules.found = found
     inquiry.accepted, inquiry.rest = [name], {name: "first"}
-    said = inquiry.second_beside_first()
+    said = inquiry.second_beside_first(list)
     assert (said is not None and said.together) is named
     inquiry.accepted = [name, "another"]  # on top of which nothing was tried
-    assert inquiry.second_beside_first() is None
+    assert inquiry.second_beside_first(list) is None
+
+
+@pytest.mark.parametrize(
+    ("misfit", "first", "two", "named"),
+    [
+        (30.0, 0, True, "theirs"),
+        (30.0, 0, False, None),  # although much gains on top, and a pair would halve the misfit
+        (30.0, 2, True, "own"),  # of another first effect
+        (2.0, 0, True, "own"),  # near the noise, the strict fit decides
+    ],
+)
+def test_where_pushes_are_missed_by_far_a_forgiving_fit_decides_on_a_second(
+    monkeypatch, misfit, first, two, named
+):
+    name = LIBRARY[0].name
+    inquiry = pair_inquiry(monkeypatch, [27200.0], 27000.0)
+    inquiry.refits.fits[name].misfit = misfit
+    inquiry.rules.found = lambda screening, floor, probe_floor: 0
+    inquiry.accepted, inquiry.rest = [name], {name: "first"}
+    pair = outcomes.two_at_once([SimpleNamespace(effects=(LIBRARY[first], LIBRARY[3]))])
+    single = outcomes.one_of([SimpleNamespace(effects=(LIBRARY[first],))])
+    said = inquiry.second_beside_first(lambda: [pair, single] if two else [single])
+    expected = {"theirs": pair, "own": outcomes.two_at_once(inquiry.made[:1]), None: None}[named]
+    assert (said is None) if expected is None else said.effects == expected.effects
 
 
 @pytest.mark.parametrize(
