@@ -14,7 +14,7 @@ from slipmap.models.inference.identification import with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
-from slipmap.models.inference.push_errors import Errors, errors
+from slipmap.models.inference.push_errors import Errors, Paired, errors
 from slipmap.models.inference.results import Identification
 from slipmap.models.inference.together import JointFit, Taught
 from slipmap.models.measurements import DatasetError, PushDataset, Trial
@@ -150,3 +150,15 @@ class JudgedFit:
         """Whether the cost drops in more than half of the datasets that have locked pushes."""
         judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
         return sum(fall > 0.0 for fall in judging) > len(judging) / 2
+
+    @property
+    def misfits(self) -> FloatArray:
+        """(L,) misfits of the locked pushes of all datasets."""
+        return np.concatenate([np.zeros(0), *(errors.misfit for errors in self.after if errors is not None)])
+
+    def is_better_than(self, other: JudgedFit, least: float) -> bool:
+        """Whether the locked pushes are predicted better than with another model: the cost at least so many
+        nats lower in total and lower in most datasets, and the misfits lower on average."""
+        drops = [own - others for own, others in zip(self.falls, other.falls, strict=True)]
+        more = replace(self, falls=drops)
+        return more.fall > least and more.falls_in_most and Paired.of(other.misfits, self.misfits).ratio < 1.0

@@ -43,10 +43,10 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
     ParameterEstimate,
 )
+from slipmap.models.inference.diagnosis.verdict_rules import far_above_noise
 from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
@@ -222,18 +222,6 @@ def _far_ahead(evidence: Mapping[str, float]) -> str | None:
     return first if evidence[first] >= least else None
 
 
-def _judged_better(first: JudgedFit, both: JudgedFit) -> bool:
-    """Whether the locked pushes are predicted better by a second model, in total and in most datasets."""
-    pairs = [
-        (one.misfit, other.misfit)
-        for one, other in zip(first.after, both.after, strict=True)
-        if one is not None and other is not None
-    ]
-    paired = Paired.of(*(np.concatenate(misfits) for misfits in zip(*pairs, strict=True)))
-    more = replace(both, falls=[b - a for a, b in zip(first.falls, both.falls, strict=True)])
-    return more.fall > _RIVAL and more.falls_in_most and paired.ratio < 1.0
-
-
 class _Inquiry:
     """The steps of one diagnosis."""
 
@@ -293,11 +281,11 @@ class _Inquiry:
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
         together, answer = self.together, fits[kept[0].name] if kept else base
-        # A first that the locked pushes object to may be right with a second.
+        # A first that the locked pushes object to may be right with a second, if nothing else is missing.
         leader = (kept or sorted(judged, key=lambda one: -one.score))[0] if len(kept) < 2 and judged else None
         both = None if leader is None else self._with_second(leader, objections)
         if leader is not None and both is not None:
-            objection = self._objection_to_second(leader, both)
+            objection = self._objection_to_second(leader, both, stands=bool(kept))
             if objection is None:
                 kept, together, answer = [both], self.together.around(both.fit), both.fit
             else:
@@ -363,13 +351,20 @@ class _Inquiry:
             return self._judge(pairs[second], evidence[second], partial(self.report, "judging both"))
         return None
 
-    def _objection_to_second(self, first: JudgedFit, both: JudgedFit) -> str | None:
-        """What speaks against a second effect beside a first one; None where both are needed."""
+    def _objection_to_second(self, first: JudgedFit, both: JudgedFit, *, stands: bool) -> str | None:
+        """What speaks against a second effect beside a first one; None where both are needed.
+
+        Args:
+            first, both: the models that the locked pushes have judged.
+            stands: whether the first does alone; otherwise both must come near the noise.
+        """
         against = None
         if not (both.falls_in_most and both.fall > _RIVAL and self._there(both)):
             against = self._objection(both)
-        elif not _judged_better(first, both):
+        elif not both.is_better_than(first, _RIVAL):
             against = f"the locked pushes are not clearly predicted better with both than with {first.name}"
+        elif not stands and far_above_noise(both.misfits) is not None:
+            against = "the locked pushes are far off with both"
         return against and f"gains much beside {first.name}, but {against}"
 
     def learned_with_all(self, hypotheses: int) -> JointIdentification:

@@ -210,18 +210,30 @@ def test_second_effects_that_cannot_be_told_apart_are_not_named(late_and_stretch
         assert set(found.effects) == {"tracker_scale", "twin"} and not found.together
 
 
-def test_a_first_effect_that_is_right_only_with_a_second_is_named_with_it(late_and_stretched, monkeypatch):
-    """The locked pushes object to every effect alone."""
+@pytest.mark.parametrize("far", [False, True])
+def test_a_first_effect_that_is_right_only_with_a_second_is_named_with_it(
+    late_and_stretched, monkeypatch, far
+):
+    """The locked pushes object to every effect alone. Both are named unless pushes then are still far off."""
     own = several._Inquiry._judge
 
     def judge(self, fit, evidence, progress):
         judged = own(self, fit, evidence, progress)
-        return judged if len(fit.effects) > 1 else dataclasses.replace(judged, falls=[-5.0, 2.0])
+        if len(fit.effects) == 1:
+            return dataclasses.replace(judged, falls=[-5.0, 2.0])
+        after = [dataclasses.replace(one, misfit=one.misfit * (1.0 + 2.0 * far)) for one in judged.after]
+        return dataclasses.replace(judged, after=after)
 
     monkeypatch.setattr(several._Inquiry, "_judge", judge)
+    monkeypatch.setattr(several.JudgedFit, "is_better_than", lambda self, other, least: True)
     found = diagnose_together(late_and_stretched, effects=EFFECTS, draws=0)
-    assert found.together and set(found.effects) == {"sensor_latency", "tracker_scale"}
-    assert all(one.objection is None for one in found.candidates if one.in_set)
+    both = {"sensor_latency", "tracker_scale"}
+    said = [one.objection or "" for one in found.candidates if one.name in both]
+    if far:
+        assert found.verdict == "undecided" and not found.effects
+        assert any(text.endswith("but the locked pushes are far off with both") for text in said)
+    else:
+        assert found.together and set(found.effects) == both and said == ["", ""]
 
 
 @pytest.mark.parametrize("together", [True, False])
