@@ -48,7 +48,7 @@ from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
-from slipmap.models.inference.together import JointFit, Together, between, is_shared
+from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -296,6 +296,11 @@ class _Inquiry:
             starts = {one.effect: one.start for one in first}
             with suppress(RolloutError, np.linalg.LinAlgError):
                 remaining = together.remaining(self.effects, [starts[e] for e in self.effects], answer)
+
+        def place(one: FirstGain) -> tuple[bool, float]:
+            name = one.effect.name
+            return name not in named, -evidence.get(name, one.evidence - 1e6)
+
         candidates = tuple(
             JointCandidate(
                 one.effect.name,
@@ -311,7 +316,7 @@ class _Inquiry:
                     if (one.effect.name, p.name) in remaining and one.effect.name not in named
                 ),
             )
-            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.evidence - 1e6))
+            for one in sorted(first, key=place)
         )
         return self._answer(kept, judged, candidates)
 
