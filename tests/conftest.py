@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import tests.any_processor  # noqa: F401  (before numpy)
+
 pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]
 
 # Before numpy and numba are loaded: two workers have two cores. With BLAS threads that wait for each other,

@@ -1,0 +1,1 @@
+import tests.any_processor
