@@ -156,8 +156,9 @@ def diagnose(
 
     def judged(
         answer: Outcome, baseline: LockedErrors | None, rough: bool
-    ) -> tuple[Outcome, list[Identification]]:
-        """An answer without rivals that the locked pushes contradict, and what is learned with the rest.
+    ) -> tuple[Outcome, list[Identification], LockedErrors | None]:
+        """An answer without rivals that the locked pushes contradict, what is learned with the rest, and the
+        smallest locked errors, with any of the rivals or of the baseline.
 
         It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
         """
@@ -168,20 +169,23 @@ def diagnose(
         }
         against = objections(with_each, rough, baseline)
         kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
-        return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals]
+        every = [one for one in (baseline, *(errors for *_, errors in with_each.values())) if one is not None]
+        least = min(every, key=lambda one: typical_misfit(one.misfit), default=None)
+        return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals], least
 
-    outcome, learned = judged(outcome, before, inquiry.rough)
+    outcome, learned, least = judged(outcome, before, inquiry.rough)
     by_evidence = cache(partial(inquiry.by_evidence, with_locked(few, locked), seed))
     second = None if quick or before is None else inquiry.second_beside_first(by_evidence)
     if second is not None:
-        found, with_it = judged(second, locked_errors(learned[0]) if learned else before, True)
+        found, with_it, _ = judged(second, least, True)
         if found.rivals:
             outcome, learned = found, with_it
+            inquiry.accepted = []
         else:
             outcome = replace(outcome, objections={**outcome.objections, **found.objections})
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
         for again in by_evidence():
-            found, with_it = judged(again, before, inquiry.rough)
+            found, with_it, _ = judged(again, before, inquiry.rough)
             if found.rivals:
                 outcome, learned = found, with_it
                 inquiry.accepted = []

@@ -227,7 +227,8 @@ def test_a_tracker_shifted_in_the_world_is_a_finger_recorded_off_its_centre() ->
 def test_a_force_sensor_reports_another_force_of_the_same_motion(name, values, reported) -> None:  # type: ignore[no-untyped-def]
     push = steady_push(0.7, yaw=0.1)
     true, out = slide([], [], push, grid=SQUARE), slide([EFFECTS[name]], values, push, grid=SQUARE)
-    assert np.array_equal(out.poses, true.poses)
+    # Each is compiled by itself, so that on some processors they round differently.
+    assert out.poses == pytest.approx(true.poses, rel=0.0, abs=1e-12)
     assert pytest.approx(np.array(reported(*true.forces[0].T)), abs=1e-12) == out.forces[0].T
 
 
