@@ -151,6 +151,8 @@ def test_gains_beside_a_fitted_model_are_those_under_its_error_and_from_its_maps
     (twice,) = around.first_gains([Again()], lambda done, total: None, beside=named)
     (alone,) = together.first_gains([Again()], lambda done, total: None)
     assert beside.gain < 3.0 and twice.gain < 0.1 and alone.gain > 30.0
+    # Nor do the pushes tell its size, as the first one's is free.
+    assert twice.gain - twice.evidence < 1.0 < alone.gain - alone.evidence
     assert list(map(list, named.by_effect(0))) == [list(named.values(0))]
 
 
