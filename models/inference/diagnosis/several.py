@@ -332,16 +332,19 @@ class _Inquiry:
         stage = partial(self.report, "trying a second effect")
         try:
             on_top = around.first_gains(others, part_of(stage, 0, 2), beside=first.fit) if others else []
+            asked = [one for one in on_top if one.evidence > EVIDENCE][:_SECONDS]
+            if not asked:
+                stage(1, 1)
+                return None
             alone = around.fitted(first.fit.effects, values)
         except (RolloutError, np.linalg.LinAlgError):
             return None
         pairs: dict[str, JointFit] = {}
-        for step, one in enumerate(on_top[:_SECONDS]):
-            part_of(stage, 1, 2)(step, _SECONDS)
-            if one.evidence > EVIDENCE:
-                with suppress(RolloutError, np.linalg.LinAlgError):
-                    effects = (*first.fit.effects, one.effect)
-                    pairs[one.effect.name] = around.fitted(effects, [*values, one.start])
+        for step, one in enumerate(asked):
+            part_of(stage, 1, 2)(step, len(asked))
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                effects = (*first.fit.effects, one.effect)
+                pairs[one.effect.name] = around.fitted(effects, [*values, one.start])
         stage(1, 1)
         evidence = {name: pair.evidence(alone) for name, pair in pairs.items()}
         second = _far_ahead(evidence) if evidence else None
