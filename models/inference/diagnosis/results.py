@@ -13,6 +13,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.results import Identification
@@ -335,6 +336,8 @@ class JointDiagnosis:
                 "for each dataset, run `slipmap identify DATASET -o belief.npz` to learn the model to plan"
                 " with."
             )
+        if not any(one.locked for one in self.datasets):
+            return f"{MORE_PUSHES}, then run `slipmap diagnose {where}` again."
         return (
             "run `slipmap diagnose DATASET` for each dataset, since a joint diagnosis misses what only one of"
             " them has; or name with --apart what they do not share."

@@ -34,6 +34,7 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
+from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES, joint_answer
 from slipmap.models.inference.diagnosis.locked import Ground, JudgedFit, LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check
 from slipmap.models.inference.diagnosis.results import (
@@ -75,9 +76,6 @@ _JUDGED = 3
 
 _WHOLE_FROM = 4
 """One dataset in this many is locked away as a whole."""
-
-_NEAR_NOISE = 2.0
-"""Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
 
 
 @one_blas_thread()
@@ -502,8 +500,7 @@ class _Inquiry:
     def _objection(self, one: JudgedFit) -> str:
         """Why the locked pushes or its interval speak against a model with effects."""
         if all(errors is None for errors in one.after):
-            nothing = f"no pushes were locked away that could judge {one.pronoun}"
-            return f"{nothing}; give each dataset three pushes or more"
+            return f"no pushes were locked away that could judge {one.pronoun}; {MORE_PUSHES}"
         if one.fall <= _RIVAL:
             return f"the locked pushes are not clearly predicted better with {one.pronoun}"
         if not one.falls_in_most:
@@ -564,40 +561,16 @@ class _Inquiry:
         self, kept: Sequence[JudgedFit], judged: Sequence[JudgedFit], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
         best = kept[0] if kept else None
-        names = tuple(effect.name for one in kept for effect in one.fit.effects)
-        together = len(kept) == 1 and len(names) == 2
-        squares = [one[0].misfit ** 2 for one in self.before if one is not None]
-        if len(names) == 1:
-            verdict, sentence = "effect", f"The model lacks one effect in these datasets: {names[0]}."
-        elif together:
-            verdict = "effect"
-            sentence = f"The model lacks two effects at once in these datasets: {names[0]} and {names[1]}."
-        elif names:
-            verdict = "ambiguous"
-            sentence = (
-                "The model lacks an effect; the datasets cannot tell which of these it is:"
-                f" {', '.join(names)}."
-            )
-        elif judged:
-            verdict = "undecided"
-            first = max(judged, key=lambda one: one.score)
-            sentence = f"{first.name} would explain most, but {self._objection(first)}. No effect is named."
-        elif squares and float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
-            verdict = "undecided"
-            sentence = (
-                "The model error is larger than the sensor noise, but no effect that the datasets could share"
-                " explains it."
-            )
-        else:
-            verdict, sentence = "adequate", "The model explains the data; no effect is missing."
+        answer = joint_answer(kept, judged, self._objection, [one and one[0] for one in self.before])
         shared = best is not None and is_shared(best.fit.effects[0], self.apart)
         largest = max((c.first_gain for c in candidates), default=0.0)
         return JointDiagnosis(
-            verdict, sentence, names, shared, tuple(p for one in kept for p in self._estimates(one)),
-            candidates, next((c.p_value for c in candidates if c.first_gain == largest), None),
+            answer.verdict, answer.sentence, answer.effects, shared,
+            tuple(p for one in kept for p in self._estimates(one)), candidates,
+            next((c.p_value for c in candidates if c.first_gain == largest), None),
             self._by_dataset(best), None if best is None else best.fall,
-            {} if verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
-            0.0, self.seed, together,
+            {} if answer.verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
+            0.0, self.seed, answer.together,
         )  # fmt: skip
 
 

@@ -94,6 +94,14 @@ def test_the_file_of_an_own_effect_is_asked_for():
     assert "--effect-file" not in made(4.0, 5.0).next_step()
 
 
+def test_more_pushes_are_asked_for_where_none_were_locked_away():
+    found = made(None, None, verdict="undecided")
+    assert "name with --apart" in found.next_step("A B")
+    bare = tuple(dataclasses.replace(one, locked=()) for one in found.datasets)
+    said = dataclasses.replace(found, datasets=bare, doubts={}).next_step("A B")
+    assert said == "give each dataset three pushes or more, then run `slipmap diagnose A B` again."
+
+
 def test_what_check_finds_wrong_with_any_of_the_datasets_comes_first():
     wrong = "correct what `slipmap check` finds wrong with set 1 (frame, clock)"
     found = made(4.0, 5.0)
