@@ -16,6 +16,7 @@ from slipmap.diagrams.application.reports.comparison_words import millimetres
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis.locked import turned
 from slipmap.models.inference.diagnosis.results import (
     CandidateResult,
     DatasetResult,
@@ -405,27 +406,59 @@ def show_joint_fit(found: JointIdentification, datasets: Sequence[PushDataset]) 
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))
 
 
+_TURNS = (
+    "better",
+    "better by likelihood, though the ends are as far off,",
+    "worse",
+    "hardly differently",
+)
+
+_AS_FAR = 0.98
+"""Share of the error at the end above which it counts as unchanged."""
+
+
 def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
-    """On which datasets the answer predicts the locked pushes better; empty without an answer."""
-    falls = {one.name: one.fall for one in found.datasets if one.fall is not None}
-    if not falls:
+    """In which datasets the answer predicts the locked pushes better and in which worse, with the errors at
+    the end; empty without an answer."""
+    judging = [one for one in found.datasets if one.fall is not None]
+    if not judging:
         return ""
-    against = [name for name, fall in falls.items() if fall <= 0.0]
-    which = "every dataset are predicted better"
-    if len(against) == len(falls):
-        which = "no dataset are predicted better"
-    elif against:
-        better = len(falls) - len(against)
-        which = f"{better} of {len(falls)} datasets are predicted better, not those of {', '.join(against)}"
+    of_first, parts = " off at the end", []
+    for how in _TURNS:
+        named = []
+        for one in (one for one in judging if _turn(one) == how):
+            named.append(f"{one.name} ({_end_errors(one)} mm{of_first})")
+            of_first = ""
+        if named:
+            parts.append(f"{how} in {_listed(named)}")
     alternatives = isinstance(found, JointDiagnosis) and not found.together
     names = found.effects[0] if alternatives else " and ".join(found.effects)
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
     misfits = np.concatenate([one.after.misfit for one in found.datasets if one.after is not None])
     return (
-        f"With {names}, the locked pushes of {which}. Their total cost {turns} by {nats(abs(total))} nats."
-        f"{_still_missed(f'with {names}', misfits)}"
+        f"With {names}, the locked pushes are predicted {', '.join(parts)}. Their total cost {turns} by"
+        f" {nats(abs(total))} nats.{_still_missed(f'with {names}', misfits)}"
     )
+
+
+def _turn(one: DatasetResult) -> str:
+    """How the locked pushes of a dataset are predicted with an answer, one of `_TURNS`."""
+    assert one.before is not None and one.after is not None and one.fall is not None
+    better, as_far, worse, unaffected = _TURNS
+    if turned(one.fall) != "better":
+        return worse if turned(one.fall) == "worse" else unaffected
+    return as_far if one.after.final.mean() > _AS_FAR * one.before.final.mean() else better
+
+
+def _end_errors(one: DatasetResult) -> str:
+    errors = [millimetres(float(e.final.mean())) for e in (one.before, one.after) if e is not None]
+    return " → ".join(errors)
+
+
+def _listed(names: Sequence[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 _DID = {

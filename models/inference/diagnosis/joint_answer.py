@@ -60,7 +60,7 @@ def joint_answer(
         # Few pushes are explained by maps alone, whatever is missing.
         return JointAnswer(
             "undecided",
-            f"Nothing seems to be missing, but no pushes were locked away that could show it; {MORE_PUSHES}.",
+            f"No pushes were locked away that could show whether anything is missing; {MORE_PUSHES}.",
         )
     if float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
         sentence = (

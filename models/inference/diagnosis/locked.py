@@ -22,6 +22,20 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps
 from slipmap.models.progress import StageProgress
 
+UNAFFECTED = 0.5
+"""Nats by which the cost of a dataset's locked pushes may change where an effect makes no difference to them.
+By noise alone, one more parameter changes a cost by half a nat on average."""
+
+CLEARLY = 3.0
+"""Nats by which locked pushes are clearly predicted better or worse: 20 to 1."""
+
+
+def turned(fall: float) -> str:
+    """Whether a drop in the cost of a dataset's locked pushes, in nats, is `better`, `worse` or neither."""
+    if abs(fall) <= UNAFFECTED:
+        return "unaffected"
+    return "better" if fall > 0.0 else "worse"
+
 
 @dataclass(frozen=True, eq=False)
 class LockedErrors:
@@ -147,9 +161,14 @@ class JudgedFit:
 
     @property
     def falls_in_most(self) -> bool:
-        """Whether the cost drops in more than half of the datasets that have locked pushes."""
-        judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
-        return sum(fall > 0.0 for fall in judging) > len(judging) / 2
+        """Whether the cost drops in more than half of the datasets whose locked pushes it affects."""
+        votes = [turned(fall) for fall in self.judging]
+        return votes.count("better") > votes.count("worse")
+
+    @property
+    def judging(self) -> list[float]:
+        """Drops in cost of the datasets that have locked pushes, nats."""
+        return [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
 
     @property
     def misfits(self) -> FloatArray:

@@ -35,7 +35,14 @@ from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
 from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES, joint_answer
-from slipmap.models.inference.diagnosis.locked import Ground, JudgedFit, LockedErrors, with_locked
+from slipmap.models.inference.diagnosis.locked import (
+    CLEARLY,
+    Ground,
+    JudgedFit,
+    LockedErrors,
+    turned,
+    with_locked,
+)
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
@@ -65,8 +72,8 @@ EVIDENCE = 5.0
 _ALONE, _AHEAD = 20.0, 0.8
 """The same for a single dataset, and the largest share of it that the next effect may reach."""
 
-_RIVAL = 3.0
-"""Nats by which a rival may be behind, and by which the cost of the locked pushes must drop: 20 to 1."""
+_RIVAL = CLEARLY
+"""Nats by which a rival may be behind."""
 
 _SECONDS = 4
 """Number of second effects that are refitted beside a first."""
@@ -508,8 +515,10 @@ class _Inquiry:
             worse = [
                 name
                 for name, fall, now in zip(names, one.falls, one.after, strict=True)
-                if now is not None and fall <= 0.0
+                if now is not None and turned(fall) == "worse"
             ]
+            if not worse:
+                return f"{one.pronoun} hardly changes the prediction of any dataset's locked pushes"
             return f"the locked pushes of {', '.join(worse)} are predicted worse with {one.pronoun}"
         own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
         return f"{own} includes the value without the effect"

@@ -31,15 +31,17 @@ from slipmap.models.measurements import write_dataset
 from tests.made_predictions import made_prediction
 
 
-def made(*falls, verdict="effect"):
-    """A diagnosis that names a lag, with the falls of the datasets' costs; None where nothing is named."""
+def made(*falls, verdict="effect", ends=1.0):
+    """A diagnosis that names a lag, with the falls of the datasets' costs; None where nothing is named.
+
+    `ends` is the error at the end with the lag, over that without it.
+    """
     named = verdict == "effect"
     lag = (ParameterEstimate("sensor_latency", "latency", "s", 0.025, 0.02, 0.03),) if named else ()
     errors = LockedErrors(np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3]), np.array([3.0, 5.0]))
+    after = dataclasses.replace(errors, final=ends * errors.final)
     datasets = tuple(
-        DatasetResult(
-            f"set {k}", ("a", "b"), ("c", "d"), k == 0, errors, errors if named else None, fall, lag
-        )
+        DatasetResult(f"set {k}", ("a", "b"), ("c", "d"), k == 0, errors, after if named else None, fall, lag)
         for k, fall in enumerate(falls)
     )
     slope = ParameterEstimate("table_tilt", "down_x", "rad", 0.001, -0.002, 0.004)
@@ -56,12 +58,28 @@ def made(*falls, verdict="effect"):
 
 
 def test_where_locked_pushes_are_not_better_predicted_is_said():
-    assert "of every dataset are predicted better" in where_it_falls(made(4.0, 5.0))
-    said = where_it_falls(made(4.0, -1.0, 5.0))
-    assert "of 2 of 3 datasets are predicted better, not those of set 1" in said and "8.0 nats" in said
-    said = where_it_falls(made(-4.0, -1.2))
-    assert "of no dataset are predicted better" in said and "cost rises by 5.2 nats" in said
+    said = where_it_falls(made(4.0, -1.0, 5.0, ends=0.2))
+    assert said.startswith(
+        "With sensor_latency, the locked pushes are predicted better in set 0 (5.0 → 1.0 mm off at the end)"
+        " and set 2 (5.0 → 1.0 mm), worse in set 1 (5.0 → 1.0 mm). Their total cost falls by 8.0 nats."
+    )
+    said = where_it_falls(made(-4.0, -1.2, ends=2.0))
+    assert "predicted worse in set 0 (5.0 → 10.0 mm off at the end) and set 1 (5.0 → 10.0 mm)." in said
+    assert "cost rises by 5.2 nats" in said
     assert where_it_falls(made(None, None, verdict="adequate")) == ""
+
+
+def test_what_hardly_changes_is_neither_better_nor_worse():
+    """A finger that never touches, or poses in mm: the cost changes by 1e-5 nats."""
+    said = where_it_falls(made(4.0, 8.8e-6, -0.4, ends=0.2))
+    assert "better in set 0 (5.0 → 1.0 mm off at the end), hardly differently in set 1 (" in said
+    assert "mm) and set 2 (" in said and "worse" not in said
+
+
+def test_ends_that_stay_as_far_off_are_told_where_only_the_likelihood_is_better():
+    said = where_it_falls(made(4.0, -5.0, ends=0.99))
+    assert "predicted better by likelihood, though the ends are as far off, in set 0 (5.0 → " in said
+    assert "far off" not in where_it_falls(made(4.0, ends=0.9)).split("Their total")[0].replace("mm off", "")
 
 
 @pytest.mark.parametrize(
@@ -155,7 +173,7 @@ def test_two_effects_that_are_both_needed_are_told_as_one_answer():
     standings = {row[0]: row[-1] for row in joint_ranking(found)}
     assert standings["sensor_latency"] == "needed, together with tracker_scale"
     assert standings["tracker_scale"] == "needed, together with sensor_latency"
-    assert where_it_falls(found).startswith("With sensor_latency and tracker_scale, the locked pushes of")
+    assert where_it_falls(found).startswith("With sensor_latency and tracker_scale, the locked pushes are")
     names = "--effect sensor_latency --effect tracker_scale -o with-sensor_latency-tracker_scale.npz"
     assert f"`slipmap fit A B {names}`" in found.next_step("A B")
     assert found.to_json()["together"] and not made(4.0, 5.0).to_json()["together"]

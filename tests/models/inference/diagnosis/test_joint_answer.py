@@ -14,7 +14,10 @@ def missed(misfit):
     return LockedErrors(np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3]), np.array([misfit, misfit]))
 
 
-def judged(*falls, effects=(TableTilt(),), score=10.0, misfit=1.0):
+TILT = (TableTilt(),)
+
+
+def judged(*falls, effects=TILT, score=10.0, misfit=1.0):
     """A model that changes the cost of each dataset's locked pushes so."""
     return JudgedFit(
         SimpleNamespace(effects=effects), [missed(misfit) for _ in falls], list(falls), [], score
@@ -32,6 +35,14 @@ def test_where_no_pushes_were_locked_away_nothing_is_adequate():
     assert said.sentence.endswith("give each dataset three pushes or more.")
     assert answer(before=(1.0, None)).verdict == "adequate"
     assert answer(before=(5.0, None)).verdict == "undecided"
+
+
+def test_a_dataset_that_an_effect_does_not_change_has_no_vote():
+    assert judged(9.0, 8.8e-6, -0.4).falls_in_most
+    assert not judged(9.0, 8.8e-6, -0.6).falls_in_most
+    assert judged(9.0, 0.6, -0.6).falls_in_most
+    # Many small drops are no vote for it, though they add up.
+    assert not judged(*[0.4] * 9).falls_in_most
 
 
 def test_what_would_explain_most_has_the_most_evidence():
