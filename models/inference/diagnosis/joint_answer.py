@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from slipmap.models.inference.diagnosis.locked import JudgedFit, LockedErrors
+from slipmap.models.inference.diagnosis.locked import CLEARLY, JudgedFit, LockedErrors
 
 _NEAR_NOISE = 2.0
 """Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
@@ -26,10 +26,43 @@ class JointAnswer:
     together: bool = False  # whether two effects are needed at once
 
 
+def objection_to(one: JudgedFit) -> str:
+    """Why the locked pushes or its interval speak against a model with effects."""
+    if not one.judging:
+        return f"no pushes were locked away that could judge {one.pronoun}; {MORE_PUSHES}"
+    if one.fall <= CLEARLY:
+        return f"the locked pushes are not clearly predicted better with {one.pronoun}"
+    if not one.agrees:
+        if one.worse:
+            return f"the locked pushes of {', '.join(one.worse)} are predicted worse with {one.pronoun}"
+        return f"the locked pushes of no single dataset are clearly predicted better with {one.pronoun}"
+    own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
+    return f"{own} includes the value without the effect"
+
+
+def where_it_shows(one: JudgedFit) -> str:
+    """Which datasets do not have what is named for several of them, in a sentence that begins with a space;
+    empty if all may have it."""
+    if not one.shared:
+        clear = [name for name, fall in one.judging.items() if fall > CLEARLY]
+        others = [name for name in one.judging if name not in clear]
+        shows = (
+            f"{'It shows' if one.pronoun == 'it' else 'They show'} in the locked pushes of {', '.join(clear)}"
+        )
+        return f" {shows}, not in those of {', '.join(others)}." if others else ""
+    if not one.worse:
+        return ""
+    names = ", ".join(one.worse)
+    do = f"{names} does" if len(one.worse) == 1 else "they do"
+    return (
+        f" But the locked pushes of {names} are predicted worse with {one.pronoun}, so {do} not seem to have"
+        f" {one.pronoun}."
+    )
+
+
 def joint_answer(
     kept: Sequence[JudgedFit],
     judged: Sequence[JudgedFit],
-    objection: Callable[[JudgedFit], str],
     before: Sequence[LockedErrors | None],
 ) -> JointAnswer:
     """The verdict.
@@ -38,20 +71,19 @@ def joint_answer(
         kept: models with effects that nothing speaks against, best first; two effects at once in the only one
             where both are needed.
         judged: all models that the locked pushes judged, those of most evidence first.
-        objection: what speaks against a model, as a clause.
         before: errors of each dataset's locked pushes without effects; None where there are none.
     """
     names = tuple(effect.name for one in kept for effect in one.fit.effects)
     if len(kept) == 1:
         lacks = "one effect" if len(names) == 1 else "two effects at once"
         sentence = f"The model lacks {lacks} in these datasets: {' and '.join(names)}."
-        return JointAnswer("effect", sentence, names, len(names) == 2)
+        return JointAnswer("effect", f"{sentence}{where_it_shows(kept[0])}", names, len(names) == 2)
     if names:
         which = "the datasets cannot tell which of these it is"
         return JointAnswer("ambiguous", f"The model lacks an effect; {which}: {', '.join(names)}.", names)
     if judged:
         # The table has the effect of most evidence first, too.
-        against = objection(judged[0])
+        against = objection_to(judged[0])
         return JointAnswer(
             "undecided", f"{judged[0].name} would explain most, but {against}. No effect is named."
         )

@@ -143,6 +143,8 @@ class JudgedFit:
     falls: list[float]  # drop in cost of each dataset's locked pushes, nats
     held: list[Maps]  # best maps of each dataset with the effects held, one hypothesis
     score: float  # evidence from the open pushes plus drop in cost of the locked ones, nats
+    datasets: tuple[str, ...]  # their names
+    shared: bool  # whether the datasets share the parameters of all effects
 
     @property
     def name(self) -> str:
@@ -160,15 +162,33 @@ class JudgedFit:
         return sum(self.falls)
 
     @property
-    def falls_in_most(self) -> bool:
-        """Whether the cost drops in more than half of the datasets whose locked pushes it affects."""
-        votes = [turned(fall) for fall in self.judging]
+    def is_supported(self) -> bool:
+        """Whether the locked pushes speak for the effects: in total, and dataset by dataset."""
+        return self.fall > CLEARLY and self.agrees
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the datasets agree: the cost drops in more than half of those that are affected.
+
+        What they do not share may be in a single one: there it must drop clearly, and rise clearly in none.
+        """
+        falls = list(self.judging.values())
+        if not self.shared:
+            return max(falls, default=0.0) > CLEARLY and min(falls) >= -CLEARLY
+        votes = [turned(fall) for fall in falls]
         return votes.count("better") > votes.count("worse")
 
     @property
-    def judging(self) -> list[float]:
-        """Drops in cost of the datasets that have locked pushes, nats."""
-        return [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
+    def judging(self) -> dict[str, float]:
+        """Drops in cost of the datasets that have locked pushes, nats, by name."""
+        every = zip(self.datasets, self.falls, self.after, strict=True)
+        return {name: fall for name, fall, now in every if now is not None}
+
+    @property
+    def worse(self) -> list[str]:
+        """Datasets whose locked pushes are predicted worse: where they do not share the effects, clearly."""
+        least = UNAFFECTED if self.shared else CLEARLY
+        return [name for name, fall in self.judging.items() if fall < -least]
 
     @property
     def misfits(self) -> FloatArray:
@@ -177,7 +197,7 @@ class JudgedFit:
 
     def is_better_than(self, other: JudgedFit, least: float) -> bool:
         """Whether the locked pushes are predicted better than with another model: the cost at least so many
-        nats lower in total and lower in most datasets, and the misfits lower on average."""
+        nats lower in total, in datasets that agree, and the misfits lower on average."""
         drops = [own - others for own, others in zip(self.falls, other.falls, strict=True)]
         more = replace(self, falls=drops)
-        return more.fall > least and more.falls_in_most and Paired.of(other.misfits, self.misfits).ratio < 1.0
+        return more.fall > least and more.agrees and Paired.of(other.misfits, self.misfits).ratio < 1.0

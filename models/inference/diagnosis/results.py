@@ -14,7 +14,7 @@ from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES
-from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
+from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors, turned
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.results import Identification
 
@@ -305,6 +305,9 @@ class JointDiagnosis:
     seconds: float
     seed: int
     together: bool = False  # whether two effects are needed at once
+    apart: tuple[str, ...] = ()  # owners of effects that the datasets do not share, as given
+    # whose the first effect of the answer is (`Effect.belongs_to`), or the one that would explain most
+    owner: str | None = None
 
     @property
     def effect(self) -> str | None:
@@ -330,7 +333,17 @@ class JointDiagnosis:
             more = "" if set(self.effects) <= {effect.name for effect in LIBRARY} else _own(where)
             output = f"with-{'-'.join(self.effects)}.npz"
             command = f"slipmap fit {_plain(where)} {names}{more} -o {output}"
-            return f"run `{command}` to learn this model, with one belief of each object."
+            learn = f"run `{command}` to learn this model, with one belief of each object."
+            without = [
+                one.name for one in self.datasets if one.fall is not None and turned(one.fall) == "worse"
+            ]
+            if not (self.shared and without):
+                return learn
+            names, do = ", ".join(without), "does" if len(without) == 1 else "do"
+            return (
+                f"if {names} {do} not share the {self.owner} with the others, add {self._apart} to"
+                f" `slipmap diagnose {where}`, or leave {names} out; otherwise {learn}"
+            )
         if self.verdict == "adequate":
             return (
                 "for each dataset, run `slipmap identify DATASET -o belief.npz` to learn the model to plan"
@@ -338,10 +351,19 @@ class JointDiagnosis:
             )
         if not any(one.locked for one in self.datasets):
             return f"{MORE_PUSHES}, then run `slipmap diagnose {where}` again."
-        return (
+        each = (
             "run `slipmap diagnose DATASET` for each dataset, since a joint diagnosis misses what only one of"
-            " them has; or name with --apart what they do not share."
         )
+        if self.owner is None and not self.apart:
+            return f"{each} them has; or name with --apart what they do not share."
+        if self.owner in (None, "object", *self.apart):
+            return f"{each} them has."
+        return f"{each} them has; or, if they do not share the {self.owner}, add {self._apart}."
+
+    @property
+    def _apart(self) -> str:
+        """The option that says that the datasets do not share the owner of the first effect."""
+        return f"`--apart {shlex.quote(self.owner or '')}`"
 
     def to_json(self, where: str = "DATASET...") -> dict[str, Any]:
         """The machine-readable result; `where` as in `next_step`."""

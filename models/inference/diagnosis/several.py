@@ -34,13 +34,12 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
-from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES, joint_answer
+from slipmap.models.inference.diagnosis.joint_answer import joint_answer, objection_to, where_it_shows
 from slipmap.models.inference.diagnosis.locked import (
     CLEARLY,
     Ground,
     JudgedFit,
     LockedErrors,
-    turned,
     with_locked,
 )
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check
@@ -279,10 +278,10 @@ class _Inquiry:
                 judged.append(self._judge(fits[name], evidence[name], part_of(stage, step, len(asked))))
             except (RolloutError, np.linalg.LinAlgError):
                 objections[name] = "not refitted"
-        there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
+        there = [one for one in judged if one.is_supported and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
-        objections |= {one.name: self._objection(one) for one in judged if one not in there}
+        objections |= {one.name: objection_to(one) for one in judged if one not in there}
         if there and any(one.score > best + _RIVAL for one in judged if one not in there):
             kept = []
         together, answer = self.together, fits[kept[0].name] if kept else base
@@ -372,8 +371,8 @@ class _Inquiry:
             stands: whether the first does alone; otherwise both must come near the noise.
         """
         against = None
-        if not (both.falls_in_most and both.fall > _RIVAL and self._there(both)):
-            against = self._objection(both)
+        if not (both.is_supported and self._there(both)):
+            against = objection_to(both)
         elif not both.is_better_than(first, _RIVAL):
             against = f"the locked pushes are not clearly predicted better with both than with {first.name}"
         elif not stands and far_above_noise(both.misfits) is not None:
@@ -400,17 +399,17 @@ class _Inquiry:
                 f"the model with {names} cannot be fitted to these datasets: {error}"
             ) from error
         are, of = ("is", "its") if len(self.effects) == 1 else ("are", "their")
-        verdict, objection = "undecided", f": {self._objection(judged)}"
+        verdict, objection = "undecided", f": {objection_to(judged)}"
         if evidence <= EVIDENCE:
             objection = (
                 f": the open pushes are explained hardly better than {of} parameters would explain anyway"
             )
-        elif judged.falls_in_most and judged.fall > _RIVAL and self._there(judged):
+        elif judged.is_supported and self._there(judged):
             verdict = "for"
-        if judged.fall < -_RIVAL:
+        if judged.fall < -CLEARLY:
             verdict, objection = "against", f": the locked pushes are predicted worse with {judged.pronoun}"
         said = {
-            "for": f"The datasets support {names}.",
+            "for": f"The datasets support {names}.{where_it_shows(judged)}",
             "against": f"THE DATASETS SPEAK AGAINST {names}{objection}.",
             "undecided": f"The datasets do not show whether {names} {are} present{objection}.",
         }
@@ -502,26 +501,9 @@ class _Inquiry:
             after.append(None if now is None else now[0])
             falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
             held.append(prior.maps(z[None]))
-        return JudgedFit(fit, after, falls, held, evidence + sum(falls))
-
-    def _objection(self, one: JudgedFit) -> str:
-        """Why the locked pushes or its interval speak against a model with effects."""
-        if all(errors is None for errors in one.after):
-            return f"no pushes were locked away that could judge {one.pronoun}; {MORE_PUSHES}"
-        if one.fall <= _RIVAL:
-            return f"the locked pushes are not clearly predicted better with {one.pronoun}"
-        if not one.falls_in_most:
-            names = [g.taught.dataset.name for g in self.grounds]
-            worse = [
-                name
-                for name, fall, now in zip(names, one.falls, one.after, strict=True)
-                if now is not None and turned(fall) == "worse"
-            ]
-            if not worse:
-                return f"{one.pronoun} hardly changes the prediction of any dataset's locked pushes"
-            return f"the locked pushes of {', '.join(worse)} are predicted worse with {one.pronoun}"
-        own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
-        return f"{own} includes the value without the effect"
+        names = tuple(ground.taught.dataset.name for ground in self.grounds)
+        shared = bool(self._shared(fit.effects).all())
+        return JudgedFit(fit, after, falls, held, evidence + sum(falls), names, shared)
 
     def _there(self, one: JudgedFit) -> bool:
         """Whether the interval of an amplitude of each effect excludes its null; True for an effect that is
@@ -570,8 +552,9 @@ class _Inquiry:
         self, kept: Sequence[JudgedFit], judged: Sequence[JudgedFit], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
         best = kept[0] if kept else None
-        answer = joint_answer(kept, judged, self._objection, [one and one[0] for one in self.before])
+        answer = joint_answer(kept, judged, [one and one[0] for one in self.before])
         shared = best is not None and is_shared(best.fit.effects[0], self.apart)
+        leading = kept[:1] or judged[:1]
         largest = max((c.first_gain for c in candidates), default=0.0)
         return JointDiagnosis(
             answer.verdict, answer.sentence, answer.effects, shared,
@@ -579,7 +562,8 @@ class _Inquiry:
             next((c.p_value for c in candidates if c.first_gain == largest), None),
             self._by_dataset(best), None if best is None else best.fall,
             {} if answer.verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
-            0.0, self.seed, answer.together,
+            0.0, self.seed, answer.together, tuple(sorted(self.apart)),
+            leading[0].fit.effects[0].belongs_to if leading else None,
         )  # fmt: skip
 
 

@@ -114,10 +114,32 @@ def test_the_file_of_an_own_effect_is_asked_for():
 
 def test_more_pushes_are_asked_for_where_none_were_locked_away():
     found = made(None, None, verdict="undecided")
-    assert "name with --apart" in found.next_step("A B")
+    assert "; or name with --apart what they do not share." in found.next_step("A B")
     bare = tuple(dataclasses.replace(one, locked=()) for one in found.datasets)
     said = dataclasses.replace(found, datasets=bare, doubts={}).next_step("A B")
     assert said == "give each dataset three pushes or more, then run `slipmap diagnose A B` again."
+
+
+def test_what_is_not_shared_is_proposed_where_it_may_help():
+    found = dataclasses.replace(made(None, None, verdict="undecided"), owner="force sensor")
+    assert found.next_step().endswith(
+        "; or, if they do not share the force sensor, add `--apart 'force sensor'`."
+    )
+    for given in ({"apart": ("force sensor",)}, {"owner": "object"}, {"owner": None, "apart": ("table",)}):
+        assert dataclasses.replace(found, **given).next_step().endswith("what only one of them has.")
+
+
+def test_a_dataset_that_does_not_have_the_effect_may_be_left_out():
+    found = dataclasses.replace(made(4.0, 9.0, -1.0), owner="tracker", doubts={})
+    step = found.next_step("A B C")
+    assert step.startswith(
+        "if set 2 does not share the tracker with the others, add `--apart tracker` to `slipmap diagnose A B"
+        " C`, or leave set 2 out; otherwise run `slipmap fit A B C --effect sensor_latency -o"
+    )
+    assert dataclasses.replace(found, shared=False).next_step("A B C").startswith("run `slipmap fit A B C")
+    assert (
+        dataclasses.replace(made(4.0, 9.0, -0.4), doubts={}).next_step("A").startswith("run `slipmap fit A")
+    )
 
 
 def test_what_check_finds_wrong_with_any_of_the_datasets_comes_first():

@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from slipmap.models.effects.library import SensorLatency, TableTilt
-from slipmap.models.inference.diagnosis.joint_answer import joint_answer
+from slipmap.models.inference.diagnosis.joint_answer import joint_answer, objection_to
 from slipmap.models.inference.diagnosis.locked import JudgedFit, LockedErrors
 
 
@@ -17,16 +18,17 @@ def missed(misfit):
 TILT = (TableTilt(),)
 
 
-def judged(*falls, effects=TILT, score=10.0, misfit=1.0):
-    """A model that changes the cost of each dataset's locked pushes so."""
+def judged(*falls, effects=TILT, score=10.0, misfit=1.0, shared=True):
+    """A model with which the cost of each dataset's locked pushes drops by so much."""
     return JudgedFit(
-        SimpleNamespace(effects=effects), [missed(misfit) for _ in falls], list(falls), [], score
-    )
+        SimpleNamespace(effects=effects), [missed(misfit) for _ in falls], list(falls), [], score,
+        tuple("ABCDEFGHI"[: len(falls)]), shared,
+    )  # fmt: skip
 
 
 def answer(*kept, among=(), before=(1.0, 1.0)):
     errors = [None if misfit is None else missed(misfit) for misfit in before]
-    return joint_answer(kept, [*kept, *among], lambda one: f"{one.name} is objected to", errors)
+    return joint_answer(kept, [*kept, *among], errors)
 
 
 def test_where_no_pushes_were_locked_away_nothing_is_adequate():
@@ -38,11 +40,11 @@ def test_where_no_pushes_were_locked_away_nothing_is_adequate():
 
 
 def test_a_dataset_that_an_effect_does_not_change_has_no_vote():
-    assert judged(9.0, 8.8e-6, -0.4).falls_in_most
-    assert not judged(9.0, 8.8e-6, -0.6).falls_in_most
-    assert judged(9.0, 0.6, -0.6).falls_in_most
+    assert judged(9.0, 8.8e-6, -0.4).is_supported
+    assert not judged(9.0, 8.8e-6, -0.6).is_supported
+    assert judged(9.0, 0.6, -0.6).is_supported
     # Many small drops are no vote for it, though they add up.
-    assert not judged(*[0.4] * 9).falls_in_most
+    assert not judged(*[0.4] * 9).is_supported
 
 
 def test_what_would_explain_most_has_the_most_evidence():
@@ -50,6 +52,43 @@ def test_what_would_explain_most_has_the_most_evidence():
     lag = judged(9.0, -9.0, effects=(SensorLatency(),), score=30.0)
     said = answer(among=[judged(-9.0, -9.0, score=20.0), lag])
     assert said.verdict == "undecided"
-    assert said.sentence == (
-        "table_tilt would explain most, but table_tilt is objected to. No effect is named."
+    objection = "the locked pushes are not clearly predicted better with it"
+    assert said.sentence == f"table_tilt would explain most, but {objection}. No effect is named."
+
+
+def test_datasets_that_do_not_have_what_most_have_are_told_in_the_verdict():
+    said = answer(judged(9.0, 9.0, -3.5, 0.1)).sentence
+    assert said == (
+        "The model lacks one effect in these datasets: table_tilt. But the locked pushes of C are predicted"
+        " worse with it, so C does not seem to have it."
     )
+    both = answer(judged(9.0, 9.0, 9.0, -1.0, -2.0, effects=(*TILT, SensorLatency()))).sentence
+    assert both.endswith(
+        "the locked pushes of D, E are predicted worse with them, so they do not seem to have them."
+    )
+    assert answer(judged(9.0, 1.0, 0.1)).sentence.endswith("in these datasets: table_tilt.")
+
+
+@pytest.mark.parametrize(
+    ("falls", "supported", "objection"),
+    [
+        ((9.0, -1.0), True, ""),
+        ((9.0, -1.0, -2.0), True, ""),
+        ((9.0, -3.5, 20.0), False, "the locked pushes of B are predicted worse with it"),
+        ((2.0, 2.0, 1.0), False, "of no single dataset are clearly predicted better"),
+        ((2.0, 0.5), False, "are not clearly predicted better with it"),
+    ],
+)
+def test_what_datasets_do_not_share_may_be_in_one_of_them(falls, supported, objection):
+    one = judged(*falls, shared=False)
+    assert one.is_supported is supported
+    if not supported:
+        assert objection in objection_to(one)
+    # What they share must be in most of them.
+    assert judged(*falls).is_supported is (sum(f > 0.0 for f in falls) > len(falls) / 2 and sum(falls) > 3.0)
+
+
+def test_in_which_datasets_an_effect_is_that_they_do_not_share_is_told():
+    said = answer(judged(9.0, -1.0, 2.0, shared=False)).sentence
+    assert said.endswith(": table_tilt. It shows in the locked pushes of A, not in those of B, C.")
+    assert answer(judged(9.0, 4.0, shared=False)).sentence.endswith(": table_tilt.")
