@@ -521,26 +521,6 @@ class JointFit:
         own = joint.places[k][joint.places[k] >= joint.plain] - joint.plain
         return joint.effect_deviations(self.found.hessian[0])[own[: self._count]]
 
-    def alone(self, k: int) -> tuple[FloatArray, FloatArray]:
-        """Parameters (P,) from dataset k alone, to first order and without a prior of the effects, and their
-        standard deviations. Parameters that only shape an effect are held."""
-        part, place = self.likelihood.parts[k], self.likelihood.prior.places[k]
-        prior = part.prior
-        z, pushes = self.found.z[:, place], self.likelihood.pushes[k]
-        offsets = self.found.offsets[:, pushes]
-        equations = part.linearise(z, offsets, np.ones(1), np.ones((1, offsets.shape[1])))
-        P = self._count
-        amplitudes = np.flatnonzero(prior.amplitudes[:P])
-        free = np.delete(np.arange(prior.size), prior.plain + np.arange(P))
-        pull = (self.found.z[0] - self.mean)[place][free]
-        normal, slope = _eliminated(equations, free, pull, prior.plain + amplitudes)
-        covariance = np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(slope)))
-        coordinates, deviations = z[0, prior.plain : prior.plain + P].copy(), np.zeros(P)
-        coordinates[amplitudes] -= covariance @ slope[:, 0]
-        deviations[amplitudes] = np.sqrt(np.diagonal(covariance))
-        centers, scales = prior.effect_centers[:P], self.scales
-        return centers + scales * coordinates, scales * deviations
-
 
 def _agreed(said: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     """Best step (c,) of an effect's coordinates from normal matrices and slopes of the datasets, and standard

@@ -259,7 +259,7 @@ class DatasetResult:
     before: LockedErrors | None  # without effects; None where nothing was locked
     after: LockedErrors | None  # with the answer, or the first of several; None where there is none
     fall: float | None  # drop in cost of its locked pushes with it, nats
-    # its parameters from this dataset alone, to first order; empty for a whole locked object
+    # its parameters from this dataset alone, its maps refitted; empty for a whole locked object
     alone: tuple[ParameterEstimate, ...]
 
     def to_json(self) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
+from slipmap.models.inference.alone import alone
 from slipmap.models.inference.diagnosis.joint_answer import joint_answer, objection_to, where_it_shows
 from slipmap.models.inference.diagnosis.locked import (
     CLEARLY,
@@ -249,6 +250,7 @@ class _Inquiry:
         ]
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
+        self.found_alone: dict[tuple[JointFit, int], tuple[FloatArray, FloatArray]] = {}
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
 
     def run(self, draws: int) -> JointDiagnosis:
@@ -340,7 +342,7 @@ class _Inquiry:
             if not asked:
                 stage(1, 1)
                 return None
-            alone = around.fitted(first.fit.effects, values)
+            single = around.fitted(first.fit.effects, values)
         except (RolloutError, np.linalg.LinAlgError):
             return None
         pairs: dict[str, JointFit] = {}
@@ -350,7 +352,7 @@ class _Inquiry:
                 effects = (*first.fit.effects, one.effect)
                 pairs[one.effect.name] = around.fitted(effects, [*values, one.start])
         stage(1, 1)
-        evidence = {name: pair.evidence(alone) for name, pair in pairs.items()}
+        evidence = {name: pair.evidence(single) for name, pair in pairs.items()}
         second = _far_ahead(evidence) if evidence else None
         if second is None:
             least = max(_ALONE, _AHEAD * max(evidence.values(), default=0.0))
@@ -461,13 +463,13 @@ class _Inquiry:
         place, values = self._place(k), self._values(fit, k)
         scales = np.array(fit.scales)
         centers = np.concatenate([effect.nulls for effect in fit.effects])
-        alone = [fit.alone(j) for j in range(len(self.asked))]
+        each = [self._alone(fit, j) for j in range(len(self.asked))]
         amplitudes = np.concatenate([effect.amplitudes for effect in fit.effects])
         for i in np.flatnonzero(self._shared(fit.effects)):
             if not amplitudes[i]:
                 scales[i] = fit.deviations(0)[i]
                 continue
-            own, widths = (np.array([one[part][i] for one in alone]) for part in (0, 1))
+            own, widths = (np.array([one[part][i] for one in each]) for part in (0, 1))
             scatter = between(own, widths)
             weights = 1.0 / (widths**2 + scatter)
             if place is not None:
@@ -518,22 +520,28 @@ class _Inquiry:
         """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
         values, deviations = one.fit.values(0), one.fit.deviations(0)
         shared = self._shared(one.fit.effects)
-        alone = [one.fit.alone(k) for k in range(len(self.asked))]
+        apart = [self._alone(one.fit, k) for k in range(len(self.asked))]
         amplitudes = np.concatenate([effect.amplitudes for effect in one.fit.effects])
         for i in np.flatnonzero(amplitudes):
-            scatter = between(np.array([v[i] for v, _ in alone]), np.array([s[i] for _, s in alone]))
-            deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(alone))
+            scatter = between(np.array([v[i] for v, _ in apart]), np.array([s[i] for _, s in apart]))
+            deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(apart))
         every = _intervals(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
+
+    def _alone(self, fit: JointFit, place: int) -> tuple[FloatArray, FloatArray]:
+        """Parameters (P,) from one of the datasets that teach effects, and their standard deviations."""
+        if (fit, place) not in self.found_alone:
+            self.found_alone[fit, place] = alone(fit, place)
+        return self.found_alone[fit, place]
 
     def _by_dataset(self, best: JudgedFit | None) -> tuple[DatasetResult, ...]:
         """Each dataset with and without the effects of a model."""
         results = []
         for k, ground in enumerate(self.grounds):
             place, before = self._place(k), self.before[k]
-            alone: tuple[ParameterEstimate, ...] = ()
+            by_itself: tuple[ParameterEstimate, ...] = ()
             if best is not None and place is not None:
-                alone = _intervals(best.fit.effects, *best.fit.alone(place))
+                by_itself = _intervals(best.fit.effects, *self._alone(best.fit, place))
             results.append(
                 DatasetResult(
                     ground.taught.dataset.name,
@@ -543,7 +551,7 @@ class _Inquiry:
                     None if before is None else before[0],
                     None if best is None else best.after[k],
                     None if best is None or before is None else best.falls[k],
-                    alone,
+                    by_itself,
                 )
             )
         return tuple(results)

@@ -7,6 +7,7 @@ import pytest
 
 from slipmap.models.effects.effect import Effect, Parameter
 from slipmap.models.effects.library import AnisotropicObject, TableTilt
+from slipmap.models.inference.alone import alone
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
@@ -125,11 +126,12 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     assert base.cost == pytest.approx(together.base_cost, rel=1e-2)
     assert base.cost - fitted.cost > 3.0 and first.gain > 3.0
     assert fitted.values(0) == fitted.values(1) == pytest.approx(2e-3, abs=3e-4)
-    alone = [fitted.alone(k) for k in (0, 1)]
-    assert fitted.deviations(0) < min(deviation for _, deviation in alone)
-    # Precisions add up, as maps are not shared; that of the prior comes on top.
-    precision = sum(deviation**-2 for _, deviation in alone) + effect.parameters[0].scale ** -2
-    assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.02)
+    each = [alone(fitted, k) for k in (0, 1)]
+    assert fitted.deviations(0) < min(deviation for _, deviation in each)
+    # Precisions add up, as maps are not shared; that of the prior comes on top. Not exactly: each dataset's is
+    # taken at its own best fit.
+    precision = sum(deviation**-2 for _, deviation in each) + effect.parameters[0].scale ** -2
+    assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.025)
 
 
 def test_gains_beside_a_fitted_model_are_those_under_its_error_and_from_its_maps(recorded):
