@@ -435,10 +435,14 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
     names = found.effects[0] if alternatives else " and ".join(found.effects)
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
-    misfits = np.concatenate([one.after.misfit for one in found.datasets if one.after is not None])
+    # The verdict of a diagnosis tells by itself what is left.
+    left = (
+        [] if isinstance(found, JointDiagnosis) else [o.after.misfit for o in judging if o.after is not None]
+    )
+    missed = _still_missed(f"with {names}", np.concatenate([np.zeros(0), *left]))
     return (
         f"With {names}, the locked pushes are predicted {', '.join(parts)}. Their total cost {turns} by"
-        f" {nats(abs(total))} nats.{_still_missed(f'with {names}', misfits)}"
+        f" {nats(abs(total))} nats.{missed}"
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipmap.models.inference.diagnosis.locked import CLEARLY, JudgedFit, LockedErrors
+from slipmap.models.inference.diagnosis.verdict_rules import far_above_noise
 
 _NEAR_NOISE = 2.0
 """Root-mean-square misfit of locked pushes, in units of sensor noise, that needs no explanation."""
@@ -60,10 +61,31 @@ def where_it_shows(one: JudgedFit) -> str:
     )
 
 
+def what_is_left(one: JudgedFit, beside: Sequence[str]) -> str:
+    """What may be missing besides, in a sentence that begins with a space, where the locked pushes stay far
+    off with the answer; else empty.
+
+    Args:
+        one: the model with the effects of the answer.
+        beside: as for `joint_answer`.
+    """
+    misfit = far_above_noise(one.misfits)
+    if misfit is None:
+        return ""
+    cause = "the outline or the recording is wrong, or pushes scatter"
+    if beside:
+        cause = f"{' or '.join(beside)}, which gain alike beside {one.pronoun}"
+    return (
+        f" Even with {one.name}, the typical locked push is {misfit:.0f} times the sensor noise off:"
+        f" something else is missing too, {cause}."
+    )
+
+
 def joint_answer(
     kept: Sequence[JudgedFit],
     judged: Sequence[JudgedFit],
     before: Sequence[LockedErrors | None],
+    beside: Sequence[str] = (),
 ) -> JointAnswer:
     """The verdict.
 
@@ -72,12 +94,14 @@ def joint_answer(
             where both are needed.
         judged: all models that the locked pushes judged, those of most evidence first.
         before: errors of each dataset's locked pushes without effects; None where there are none.
+        beside: effects that gain much beside the first, but alike, so that none of them is named.
     """
     names = tuple(effect.name for one in kept for effect in one.fit.effects)
     if len(kept) == 1:
         lacks = "one effect" if len(names) == 1 else "two effects at once"
         sentence = f"The model lacks {lacks} in these datasets: {' and '.join(names)}."
-        return JointAnswer("effect", f"{sentence}{where_it_shows(kept[0])}", names, len(names) == 2)
+        sentence += f"{where_it_shows(kept[0])}{what_is_left(kept[0], beside)}"
+        return JointAnswer("effect", sentence, names, len(names) == 2)
     if names:
         which = "the datasets cannot tell which of these it is"
         return JointAnswer("ambiguous", f"The model lacks an effect; {which}: {', '.join(names)}.", names)

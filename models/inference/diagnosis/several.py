@@ -250,6 +250,8 @@ class _Inquiry:
         ]
         self.asked = [ground for ground in self.grounds if not ground.whole]
         self.together = Together([ground.taught for ground in self.asked], apart)
+        # Effects that gain much beside a first one, but alike, by the name of the first.
+        self.alike_beside: dict[str, list[str]] = {}
         self.found_alone: dict[tuple[JointFit, int], tuple[FloatArray, FloatArray]] = {}
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
 
@@ -357,6 +359,7 @@ class _Inquiry:
         if second is None:
             least = max(_ALONE, _AHEAD * max(evidence.values(), default=0.0))
             close = [name for name, gain in evidence.items() if gain > least]
+            self.alike_beside[first.name] = close
             for name in close:
                 rivals = ", ".join(rival for rival in close if rival != name)
                 objections[name] = f"gains much beside {first.name}, but so would {rivals}"
@@ -560,7 +563,8 @@ class _Inquiry:
         self, kept: Sequence[JudgedFit], judged: Sequence[JudgedFit], candidates: tuple[JointCandidate, ...]
     ) -> JointDiagnosis:
         best = kept[0] if kept else None
-        answer = joint_answer(kept, judged, [one and one[0] for one in self.before])
+        beside = [] if best is None else self.alike_beside.get(best.name, [])
+        answer = joint_answer(kept, judged, [one and one[0] for one in self.before], beside)
         shared = best is not None and is_shared(best.fit.effects[0], self.apart)
         leading = kept[:1] or judged[:1]
         largest = max((c.first_gain for c in candidates), default=0.0)

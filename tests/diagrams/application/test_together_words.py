@@ -208,7 +208,12 @@ def test_two_effects_that_are_both_needed_are_told_as_one_answer():
 
 
 def test_an_answer_that_leaves_locked_pushes_far_off_says_so():
-    found = made(4.0, 5.0)
+    diagnosed = made(4.0, 5.0)
+    # The verdict of a diagnosis tells it, that of a fit does not.
+    assert "Even with" not in where_it_falls(diagnosed)
+    found = JointIdentification(
+        "for", "Yes.", ("sensor_latency",), (), 9.0, 9.0, diagnosed.datasets, (), 1.0, 0
+    )
     assert "Even with sensor_latency, the typical locked push is 4 times the sensor noise off" in (
         where_it_falls(found)
     )

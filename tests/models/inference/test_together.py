@@ -128,8 +128,8 @@ def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     assert fitted.values(0) == fitted.values(1) == pytest.approx(2e-3, abs=3e-4)
     each = [alone(fitted, k) for k in (0, 1)]
     assert fitted.deviations(0) < min(deviation for _, deviation in each)
-    # Precisions add up, as maps are not shared; that of the prior comes on top. Not exactly: each dataset's is
-    # taken at its own best fit.
+    # Precisions add up, as maps are not shared; that of the prior comes on top. Not exactly: each dataset has
+    # its own best fit.
     precision = sum(deviation**-2 for _, deviation in each) + effect.parameters[0].scale ** -2
     assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.025)
 

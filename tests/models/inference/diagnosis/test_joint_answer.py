@@ -26,9 +26,9 @@ def judged(*falls, effects=TILT, score=10.0, misfit=1.0, shared=True):
     )  # fmt: skip
 
 
-def answer(*kept, among=(), before=(1.0, 1.0)):
+def answer(*kept, among=(), before=(1.0, 1.0), beside=()):
     errors = [None if misfit is None else missed(misfit) for misfit in before]
-    return joint_answer(kept, [*kept, *among], errors)
+    return joint_answer(kept, [*kept, *among], errors, beside)
 
 
 def test_where_no_pushes_were_locked_away_nothing_is_adequate():
@@ -67,6 +67,19 @@ def test_datasets_that_do_not_have_what_most_have_are_told_in_the_verdict():
         "the locked pushes of D, E are predicted worse with them, so they do not seem to have them."
     )
     assert answer(judged(9.0, 1.0, 0.1)).sentence.endswith("in these datasets: table_tilt.")
+
+
+def test_what_may_be_missing_besides_is_told_where_pushes_stay_far_off():
+    near, far = (judged(9.0, 9.0, misfit=misfit) for misfit in (2.0, 10.0))
+    lacks = "The model lacks one effect in these datasets: table_tilt."
+    assert answer(near, beside=["skate", "tether"]).sentence == lacks
+    even = f"{lacks} Even with table_tilt, the typical locked push is 10 times the sensor noise off:"
+    assert answer(far, beside=["skate", "tether"]).sentence == (
+        f"{even} something else is missing too, skate or tether, which gain alike beside it."
+    )
+    assert answer(far).sentence.startswith(
+        f"{even} something else is missing too, the outline or the recording"
+    )
 
 
 @pytest.mark.parametrize(

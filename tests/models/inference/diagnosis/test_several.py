@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.library import AnisotropicTable, SensorLatency, TrackerScale
-from slipmap.models.inference.diagnosis import several
+from slipmap.models.inference.diagnosis import joint_answer, several
 from slipmap.models.inference.diagnosis.several import (
     diagnose_together,
     fit_together,
@@ -195,8 +195,9 @@ def test_a_second_effect_that_the_locked_pushes_do_not_support_is_not_named(
     )
 
 
-def test_second_effects_that_cannot_be_told_apart_are_not_named(late_and_stretched):
+def test_second_effects_that_cannot_be_told_apart_are_told_but_not_named(late_and_stretched, monkeypatch):
     """Two copies of the second effect gain as much beside the first."""
+    monkeypatch.setattr(joint_answer, "far_above_noise", lambda misfits: 7.0)
 
     class Twin(SensorLatency):
         name = "twin"
@@ -204,6 +205,9 @@ def test_second_effects_that_cannot_be_told_apart_are_not_named(late_and_stretch
     found = diagnose_together(late_and_stretched, effects=[SensorLatency(), TrackerScale(), Twin()], draws=0)
     assert found.effects == ("tracker_scale",) and not found.together
     said = {one.name: one.objection for one in found.candidates}
+    assert "7 times the sensor noise off" in found.sentence
+    assert found.sentence.endswith(", which gain alike beside it.")
+    assert "sensor_latency or twin" in found.sentence or "twin or sensor_latency" in found.sentence
     assert said["twin"] == "gains much beside tracker_scale, but so would sensor_latency"
     assert said["sensor_latency"] == "gains much beside tracker_scale, but so would twin"
 
