@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,7 @@ def joint_answer(
     judged: Sequence[JudgedFit],
     before: Sequence[LockedErrors | None],
     beside: Sequence[str] = (),
+    faults: Mapping[str, str] | None = None,
 ) -> JointAnswer:
     """The verdict.
 
@@ -95,7 +96,14 @@ def joint_answer(
         judged: all models that the locked pushes judged, those of most evidence first.
         before: errors of each dataset's locked pushes without effects; None where there are none.
         beside: effects that gain much beside the first, but alike, so that none of them is named.
+        faults: in the records, as clauses, by the name of the dataset.
     """
+    if faults:
+        told = " ".join(f"{name}: {fault}" for name, fault in faults.items())
+        contradict = (
+            f"The records of {', '.join(faults)} contradict themselves, so no effect can be identified."
+        )
+        return JointAnswer("undecided", f"{contradict} {told}")
     names = tuple(effect.name for one in kept for effect in one.fit.effects)
     if len(kept) == 1:
         lacks = "one effect" if len(names) == 1 else "two effects at once"

@@ -26,6 +26,8 @@ from slipmap.models.measurements.dataset_check import check_dataset
 _LIKE_A_WRONG_SIZE = ("finger_compliance", "sensor_latency", "force_latency")
 _LIKE_A_WRONG_MASS = ("loose_mass", "load_transfer", "stribeck_friction", "viscous_friction")
 
+_MEASURE = "measure the finger and the outline, and correct finger.radius or object.outline"
+
 _AS_WELL = 1.05
 """Misfit of locked pushes with the mass left open, over that with the effect, up to which it explains them as
 well."""
@@ -268,6 +270,19 @@ def with_other_causes(
     )
 
 
+def wrong_sizes(effects: Sequence[str], datasets: Sequence[PushDataset]) -> tuple[list[str], list[str]]:
+    """Datasets in which contact suggests that the finger's radius or the outline is wrong, where that would
+    look like one of several effects: sentences, and what to do first."""
+    names: dict[str, list[str]] = {}
+    for dataset in datasets:
+        found = _wrong_size(effects, dataset)
+        if found is not None:
+            names.setdefault(found[0], []).append(dataset.name)
+    sentences = [f"In {', '.join(own)}: {text[0].lower()}{text[1:]}" for text, own in names.items()]
+    every = [dataset.name for dataset in datasets if any(dataset.name in own for own in names.values())]
+    return sentences, [f"{_MEASURE} of {', '.join(every)}"] * bool(every)
+
+
 def _named(effects: Sequence[str], among: Sequence[str]) -> str:
     return " or ".join(effect for effect in effects if effect in among)
 
@@ -283,7 +298,7 @@ def _wrong_size(effects: Sequence[str], dataset: PushDataset) -> tuple[str, str]
         return None
     return (
         f"A wrong finger.radius or outline would look like {named}, and contact suggests it: {cause.text}",
-        "measure the finger and the outline, and correct finger.radius or object.outline",
+        _MEASURE,
     )
 
 

@@ -308,6 +308,7 @@ class JointDiagnosis:
     apart: tuple[str, ...] = ()  # owners of effects that the datasets do not share, as given
     # whose the first effect of the answer is (`Effect.belongs_to`), or the one that would explain most
     owner: str | None = None
+    first: tuple[str, ...] = ()  # what to do before the answer is trusted, each an imperative clause
 
     @property
     def effect(self) -> str | None:
@@ -321,9 +322,12 @@ class JointDiagnosis:
     def corrections(self) -> list[str]:
         """What to correct before the answer is trusted, each an imperative clause."""
         return [
-            f"correct what `slipmap check` finds wrong with {name} ({', '.join(found)})"
-            for name, found in self.doubts.items()
-            if found
+            *self.first,
+            *(
+                f"correct what `slipmap check` finds wrong with {name} ({', '.join(found)})"
+                for name, found in self.doubts.items()
+                if found
+            ),
         ]
 
     def _step(self, where: str) -> str:

@@ -43,7 +43,7 @@ from slipmap.models.inference.diagnosis.locked import (
     LockedErrors,
     with_locked,
 )
-from slipmap.models.inference.diagnosis.outcomes import doubts_of_check
+from slipmap.models.inference.diagnosis.outcomes import doubts_of_check, wrong_sizes
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
     JointCandidate,
@@ -58,6 +58,7 @@ from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, part_of, silent
@@ -254,6 +255,11 @@ class _Inquiry:
         self.alike_beside: dict[str, list[str]] = {}
         self.found_alone: dict[tuple[JointFit, int], tuple[FloatArray, FloatArray]] = {}
         self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
+        self.faults: dict[str, str] = {}  # in the records, which no effect explains, by dataset
+        for dataset, before in zip(datasets, self.before, strict=True):
+            if before is None or far_above_noise(before[0].misfit) is not None:
+                fault = fault_of_frame(dataset, dataset.trials)
+                self.faults |= {} if fault is None else {dataset.name: fault}
 
     def run(self, draws: int) -> JointDiagnosis:
         """Go through the steps; `seconds` stays 0."""
@@ -275,6 +281,9 @@ class _Inquiry:
         self.report("refitting with effects", _REFITTED, _REFITTED)
         ahead = sorted(evidence, key=lambda name: -evidence[name])
         asked = [name for name in ahead if evidence[name] > EVIDENCE][:_JUDGED]
+        if self.faults:
+            objections |= dict.fromkeys(asked, "the records contradict themselves")
+            asked = []
         stage = partial(self.report, "judging by locked pushes")
         judged: list[JudgedFit] = []
         for step, name in enumerate(asked):
@@ -564,18 +573,19 @@ class _Inquiry:
     ) -> JointDiagnosis:
         best = kept[0] if kept else None
         beside = [] if best is None else self.alike_beside.get(best.name, [])
-        answer = joint_answer(kept, judged, [one and one[0] for one in self.before], beside)
-        shared = best is not None and is_shared(best.fit.effects[0], self.apart)
+        answer = joint_answer(kept, judged, [one and one[0] for one in self.before], beside, self.faults)
         leading = kept[:1] or judged[:1]
+        sized, first = wrong_sizes([e.name for one in leading for e in one.fit.effects], self.datasets)
+        shared = best is not None and is_shared(best.fit.effects[0], self.apart)
         largest = max((c.first_gain for c in candidates), default=0.0)
         return JointDiagnosis(
-            answer.verdict, answer.sentence, answer.effects, shared,
+            answer.verdict, " ".join([answer.sentence, *sized]), answer.effects, shared,
             tuple(p for one in kept for p in self._estimates(one)), candidates,
             next((c.p_value for c in candidates if c.first_gain == largest), None),
             self._by_dataset(best), None if best is None else best.fall,
             {} if answer.verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
             0.0, self.seed, answer.together, tuple(sorted(self.apart)),
-            leading[0].fit.effects[0].belongs_to if leading else None,
+            leading[0].fit.effects[0].belongs_to if leading else None, tuple(first),
         )  # fmt: skip
 
 

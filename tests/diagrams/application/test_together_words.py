@@ -149,6 +149,8 @@ def test_what_check_finds_wrong_with_any_of_the_datasets_comes_first():
         f"{wrong}; then run `slipmap diagnose A B` again. If nothing can"
     )
     assert found.to_json()["first"] == [wrong]
+    weighed = dataclasses.replace(found, first=("measure the finger",))
+    assert weighed.to_json()["first"] == ["measure the finger", wrong]
     sound = dataclasses.replace(found, doubts={"set 0": (), "set 1": ()})
     assert sound.next_step("A B").startswith("run `slipmap fit A B --effect sensor_latency -o")
     assert sound.to_json()["first"] == []

@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.outcomes import Outcome, doubts_of_check, with_other_causes
+from slipmap.models.inference.diagnosis.outcomes import (
+    Outcome,
+    doubts_of_check,
+    with_other_causes,
+    wrong_sizes,
+)
 from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.diagnosis.several import diagnose_together
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.measurements import Channel, PushDataset
 from slipmap.models.measurements.simulated import record_pushes
@@ -56,12 +62,43 @@ def test_a_wrong_radius_is_named_beside_what_looks_like_it(pushes, factor, size)
     assert not told(wrong, "adequate").first
 
 
-def test_what_check_finds_wrong_comes_first(pushes):
-    def reversed_theta(trial):
+def test_wrong_radii_are_named_with_their_datasets(pushes):
+    def of(factor, name):
+        return replace(pushes, finger_radius=factor * RADIUS, name=name)
+
+    sentences, first = wrong_sizes(["finger_compliance"], [of(1.2, "A"), of(1.0, "B"), of(1.2, "C")])
+    (told,) = sentences
+    assert told.startswith("In A, C: a wrong finger.radius or outline would look like finger_compliance")
+    assert "finger.radius 6.0 mm rather than 7.2 mm" in told
+    assert len(first) == 1 and first[0].endswith("correct finger.radius or object.outline of A, C")
+    assert wrong_sizes(["table_tilt"], [of(1.2, "A")]) == ([], [])
+
+
+def reversed_theta(dataset: PushDataset) -> PushDataset:
+    """The same pushes with theta counted the other way."""
+
+    def turned(trial):
         pose = trial.object_pose
         return replace(trial, object_pose=Channel(pose.time, pose.values * [1.0, 1.0, -1.0]))
 
-    wrong = replace(pushes, trials=tuple(map(reversed_theta, pushes.trials)))
+    return replace(dataset, trials=tuple(map(turned, dataset.trials)), name="reversed")
+
+
+def test_no_effect_is_named_where_the_records_of_one_dataset_contradict_themselves(pushes):
+    found = diagnose_together(
+        [pushes, reversed_theta(pushes)], effects=effects_named(["finger_compliance"]), draws=0
+    )
+    assert found.verdict == "undecided" and found.effects == ()
+    said = (
+        "The records of reversed contradict themselves, so no effect can be identified. reversed: the finger"
+    )
+    assert found.sentence.startswith(said) and found.sentence.endswith("is theta's sign right?")
+    assert [one.objection for one in found.candidates] == ["the records contradict themselves"]
+    assert "check` finds wrong with reversed (contact)" in found.next_step()
+
+
+def test_what_check_finds_wrong_comes_first(pushes):
+    wrong = reversed_theta(pushes)
     assert "contact" in told(wrong, "undecided").doubts
     assert told(wrong, "adequate").doubts == () and told(pushes, "undecided").doubts == ()
     mended = replace(pushes, warnings=("trials/001.json, row 3: jumps; left out",))
