@@ -111,8 +111,11 @@ def joint_answer(
         sentence += f"{where_it_shows(kept[0])}{what_is_left(kept[0], beside)}"
         return JointAnswer("effect", sentence, names, len(names) == 2)
     if names:
-        which = "the datasets cannot tell which of these it is"
-        return JointAnswer("ambiguous", f"The model lacks an effect; {which}: {', '.join(names)}.", names)
+        sentence = (
+            "The model lacks an effect; the datasets cannot tell which of these it is:"
+            f" {', '.join(names)}.{what_is_left(kept[0], ())}"
+        )
+        return JointAnswer("ambiguous", sentence, names)
     if judged:
         # The table has the effect of most evidence first, too.
         against = objection_to(judged[0])

@@ -77,6 +77,9 @@ def test_what_may_be_missing_besides_is_told_where_pushes_stay_far_off():
     assert answer(far, beside=["skate", "tether"]).sentence == (
         f"{even} something else is missing too, skate or tether, which gain alike beside it."
     )
+    either = answer(far, judged(9.0, effects=(SensorLatency(),)))
+    assert either.verdict == "ambiguous" and either.effects == ("table_tilt", "sensor_latency")
+    assert "Even with table_tilt, the typical locked push is 10 times" in either.sentence
     assert answer(far).sentence.startswith(
         f"{even} something else is missing too, the outline or the recording"
     )
