@@ -8,6 +8,7 @@ which the object rests like physics that nobody knows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,16 +16,25 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.fitting import MOTION_ERRORS, Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.diagnosis.verdict_rules import FAR_BEHIND, STAYS_OFF
+from slipmap.models.inference.diagnosis.verdict_rules import (
+    AT_NOISE,
+    FAR_BEHIND,
+    STAYS_OFF,
+    typical_misfit,
+)
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.inference.push_errors import Paired
-from slipmap.models.inference.results import Identification
+from slipmap.models.inference.results import Identification, Quantity
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.contact import common_cause, contact_rows
 from slipmap.models.measurements.dataset_check import check_dataset
 
 _LIKE_A_WRONG_SIZE = ("finger_compliance", "sensor_latency", "force_latency")
 _LIKE_A_WRONG_MASS = ("loose_mass", "load_transfer", "stribeck_friction", "viscous_friction")
+
+_STATED = 0.02
+"""How far the logarithm of the learned mass may lie from what was stated while nothing suggests that it is
+wrong: one standard deviation of that. Stated three times too large, it was learned 3 % off."""
 
 _AS_WELL = 1.05
 """Misfit of locked pushes with the mass left open, over that with the effect, up to which it explains them as
@@ -240,23 +250,28 @@ def with_other_causes(
     answer: Outcome,
     dataset: PushDataset,
     without: Identification,
+    before: LockedErrors | None,
     after: LockedErrors | None,
     free_mass: Callable[[], Identification],
 ) -> Outcome:
     """An answer that also names what else would explain the pushes, and says to rule this out first.
 
+    Only a wrong mass is looked for where nothing is missing.
+
     Args:
         answer: the verdict.
         dataset: all pushes.
         without: what `identify` learns without effects.
-        after: errors of the locked pushes with the answer; None where nothing was locked.
+        before: errors of the locked pushes without effects; None where nothing was locked.
+        after: the same with the answer; None also where it has no effects.
         free_mass: learns the same as `without` with the mass left open.
     """
-    if answer.verdict == "adequate" or answer.fault is not None:
+    if answer.fault is not None:
         return answer
     told = [
         _wrong_size(answer.effects, dataset),
         _wrong_mass(answer.effects, dataset, after, free_mass),
+        None if answer.effects else _contradicted_mass(dataset, without, before, free_mass),
         _coarse_cells(answer, without),
     ]
     found = [one for one in told if one is not None]
@@ -264,7 +279,7 @@ def with_other_causes(
         answer,
         sentence=" ".join([answer.sentence, *(sentence for sentence, _ in found)]),
         first=tuple(todo for _, todo in found),
-        doubts=doubts_of_check(dataset),
+        doubts=() if answer.verdict == "adequate" else doubts_of_check(dataset),
     )
 
 
@@ -298,8 +313,7 @@ def _wrong_mass(
     if not named or dataset.mass is None or after is None:
         return None
     learned = free_mass()
-    errors = locked_errors(learned)
-    mass = next(quantity for quantity in learned.quantities if quantity.name == "total mass")
+    errors, mass = locked_errors(learned), _total_mass(learned)
     assert errors is not None
     if mass.low <= dataset.mass <= mass.high or Paired.of(after.misfit, errors.misfit).ratio > _AS_WELL:
         return None
@@ -308,6 +322,40 @@ def _wrong_mass(
         f" {dataset.mass:.3g} kg, the model predicts the locked pushes as well without any effect.",
         "weigh the object, and correct object.mass",
     )
+
+
+def _contradicted_mass(
+    dataset: PushDataset,
+    without: Identification,
+    before: LockedErrors | None,
+    free_mass: Callable[[], Identification],
+) -> tuple[str, str] | None:
+    """The stated mass, where the plain model with another one predicts the locked pushes clearly better.
+
+    This takes another fit, so only where the learned mass is drawn away from what was stated, or the locked
+    pushes are missed by more than the noise.
+    """
+    if dataset.mass is None or before is None or not len(before.misfit):
+        return None
+    drawn = abs(math.log(_total_mass(without).value / dataset.mass)) > _STATED
+    if not drawn and typical_misfit(before.misfit) <= AT_NOISE:
+        return None
+    learned = free_mass()
+    errors, mass = locked_errors(learned), _total_mass(learned)
+    assert errors is not None
+    paired = Paired.of(before.misfit, errors.misfit)
+    if mass.low <= dataset.mass <= mass.high or paired.verdict != "for":
+        return None
+    return (
+        f"But the stated object.mass of {dataset.mass:.3g} kg contradicts the pushes: with {mass.low:.2g} to"
+        f" {mass.high:.2g} kg, the model predicts the locked pushes better, with {paired.ratio:.2g} times the"
+        " misfit.",
+        "weigh the object, and correct object.mass",
+    )
+
+
+def _total_mass(learned: Identification) -> Quantity:
+    return next(quantity for quantity in learned.quantities if quantity.name == "total mass")
 
 
 def _coarse_cells(answer: Outcome, without: Identification) -> tuple[str, str] | None:

@@ -193,7 +193,7 @@ def diagnose(
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
     free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)
-    outcome = with_other_causes(outcome, dataset, without, after, free_mass)
+    outcome = with_other_causes(outcome, dataset, without, before, after, free_mass)
     return Diagnosis(
         **vars(outcome),
         candidates=tuple(inquiry.candidates(learned, outcome.effects)),
