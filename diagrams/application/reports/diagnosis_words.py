@@ -221,7 +221,7 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
         ("touch it at", f"{_millimetre_pair(pair('contact'))} of the object"),
         ("direction", f"{float(push['direction_deg']):.0f}°"),  # type: ignore[arg-type]
         ("speed", f"{1e3 * float(push['speed']):.0f} mm/s"),  # type: ignore[arg-type]
-        ("length", f"{1e3 * float(push['length']):.0f} mm"),  # type: ignore[arg-type]
+        ("length", f"{1e3 * float(push['length']):.0f} mm after first touch"),  # type: ignore[arg-type]
         ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
     ]
     if push["dwell"]:

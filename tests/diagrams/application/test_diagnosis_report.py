@@ -254,6 +254,7 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
     for fact in (
         "x 100 mm, y -50 mm, turned by 90°",
         "table_tilt, sensor_latency",
+        f"{1e3 * PUSH['length']:.0f} mm after first touch",
         "7.3 standard deviations",
     ):
         assert fact in page.text
