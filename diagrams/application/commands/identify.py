@@ -278,7 +278,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
-    show_errors(result.pushes, dataset, where)
+    show_errors(result.pushes, dataset, where, belief.effects)
     missed = max(belief.settings.get("model_errors", [0.0]))
     far_off = missed >= MODEL_ERRORS[-1]  # the largest that is tried, so that it may be larger
     if far_off:

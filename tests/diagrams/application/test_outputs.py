@@ -32,6 +32,7 @@ from slipmap.diagrams.application.reports.tables import (
     shown,
 )
 from slipmap.diagrams.application.terminal import Progress, table
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.files import BadInput, whole_file, write_json
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
@@ -214,6 +215,15 @@ def test_error_table_averages_by_role_against_both_baselines(capsys):
     assert ["2", "fit", "mean", "2.0", "30.0", "60.0"] in lines
     assert ["1", "held", "out", "median", "7.1", "50.0", "100.0"] in lines
     assert ["000", "fit", "1.0", "2.0", "20.0", "30.0"] in lines
+
+
+def test_a_uniform_object_with_effects_is_not_taken_for_a_plain_one(capsys):
+    held = [prediction(role="heldout")]
+    show_errors(held, recorded_by(Noise()), "pushes")
+    assert "uniform object has" not in capsys.readouterr().out
+    show_errors(held, recorded_by(Noise()), "pushes", effects_named(["table_tilt", "tether"]))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "mean distance of the cells; the uniform object has table_tilt, tether, too)" in said
 
 
 @pytest.mark.parametrize(
