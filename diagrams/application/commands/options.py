@@ -241,9 +241,11 @@ def load_together(
         one_only: options, besides --maps, that are for one dataset.
 
     Raises:
-        BadInput: such an option was given, or two datasets share a push, which would count twice.
-        DatasetError: a dataset cannot be used.
+        BadInput: such an option was given.
+        DatasetError: a dataset cannot be used, or two share a push, which would count twice.
     """
+    from slipmap.models.measurements.push_dataset import check_datasets_given
+
     for option in (*one_only, "--maps"):
         if asked_for("belief_file" if option == "--belief" else option.strip("-")):
             raise BadInput(
@@ -251,16 +253,7 @@ def load_together(
                 " each dataset.yaml)"
             )
     datasets = [load_dataset(path, object_name, progress) for path in paths]
-    owners: dict[bytes, str] = {}
-    for dataset in datasets:
-        for trial in dataset.trials:
-            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
-            owner = owners.setdefault(track, dataset.name)
-            if owner != dataset.name:
-                raise BadInput(
-                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
-                    " count twice; give every push once"
-                )
+    check_datasets_given(datasets)
     return datasets
 
 

@@ -11,8 +11,10 @@ import pytest
 
 import slipmap
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.comparison import compare_together
 from slipmap.models.inference.identification import identify
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.push_dataset import check_datasets_given
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +119,23 @@ def test_a_diagnosis_needs_a_candidate(pushes: PushDataset) -> None:
 def test_a_dataset_is_not_its_path(call: Callable[[], Any]) -> None:
     with pytest.raises(TypeError, match=r"dataset must be a PushDataset, such as slipmap.read_dataset"):
         call()
+
+
+def test_several_datasets_are_taken_by_other_functions(pushes: PushDataset) -> None:
+    with pytest.raises(TypeError, match=r"not several, which diagnose_together, .* take; got a list"):
+        slipmap.diagnose([pushes, pushes])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"draws must be a whole number of at least 0, got 250\.5"):
+        slipmap.diagnose(pushes, draws=250.5)  # type: ignore[arg-type]
+    other = replace(pushes, name="other")
+    for datasets, kind, words in (
+        (pushes, TypeError, "datasets must be a list of datasets; got one PushDataset"),
+        ("tilted", TypeError, "datasets must be a list of datasets; got one str"),
+        ([pushes, "tilted"], TypeError, r"datasets\[1\] must be a PushDataset, such as .*; got a str"),
+        ([pushes, other], DatasetError, r"hammer and other contain the same push \(trials/000\.json\)"),
+    ):
+        for refused in (check_datasets_given, compare_together):
+            with pytest.raises(kind, match=words):
+                refused(datasets)
 
 
 def test_what_identify_returns_is_taken_as_its_belief(pushes: PushDataset) -> None:
