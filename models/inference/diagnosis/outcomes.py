@@ -128,10 +128,10 @@ def without_those_objected_to(
         whole = one_of(kept) if len(kept[0].effects) == 1 else two_at_once(kept)
         return replace(whole, objections=objections)
     names = list(objections)
-    clauses = dict.fromkeys(objections.values())
+    clauses = set(objections.values())
     sentence = (
         f"On the open pushes, {' or '.join(names)} would explain"
-        f" {'something' if STAYS_OFF in clauses else 'much'}, but {' or '.join(clauses)}"
+        f" {'something' if STAYS_OFF in clauses else 'much'}, but {_objected(objections)}"
     )
     if STAYS_OFF in clauses or FAR_BEHIND in clauses:
         found = unknown(base, screening)
@@ -146,6 +146,22 @@ def without_those_objected_to(
         base,
         objections=objections,
     )
+
+
+def _objected(objections: Mapping[str, str]) -> str:
+    """Objections to effects that were just named, as clauses that say which effect each is about."""
+    clauses = set(objections.values())
+    if len(objections) == 1:
+        return clauses.pop()
+    if len(clauses) > 1:
+        said = (
+            clause.replace("with it", f"with {name}").replace("its 90 %", f"{name}'s 90 %")
+            for name, clause in objections.items()
+        )
+        return " or ".join(dict.fromkeys(said))
+    either = "either" if len(objections) == 2 else "any of them"
+    clause = clauses.pop().replace("with it", f"with {either}")
+    return clause.replace("its 90 % interval", f"the 90 % interval of {either}")
 
 
 def far_off(base: Fitted, misfit: float, most: tuple[str, float] | None = None) -> Outcome:
