@@ -608,7 +608,7 @@ def _how_to(asked: dict[str, Any], grid: CellGrid) -> str:
     return (
         f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°;"
         f" {finger} from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"
-        f" ({1e3 * asked['tip_end'][0]:.0f}, {1e3 * asked['tip_end'][1]:.0f}) mm"
-        f" at {1e3 * asked['speed']:.0f} mm/s{stop},"
-        " and stop abruptly."
+        f" ({1e3 * asked['tip_end'][0]:.0f}, {1e3 * asked['tip_end'][1]:.0f}) mm,"
+        f" {1e3 * asked['length']:.0f} mm of this after first touch, at {1e3 * asked['speed']:.0f} mm/s"
+        f"{stop}, and stop abruptly."
     )

@@ -12,8 +12,13 @@ from slipmap.models.physics.cell_grid import FloatArray
 class SensorLatency(Effect):
     name = "sensor_latency"
     belongs_to = "tracker"
-    sentence = "The tracker reports the object's pose late."
-    parameters = (Parameter("latency", "s", "delay of the tracker", -0.3, 0.5, 0.03, 0.0),)
+    sentence = (
+        "The tracker's clock is off relative to the finger's: poses are reported late, or early if the"
+        " latency is negative."
+    )
+    parameters = (
+        Parameter("latency", "s", "delay of the tracker; negative if it is early", -0.3, 0.5, 0.03, 0.0),
+    )
 
     def delay(self, p: Any) -> Any:
         return p.latency
@@ -124,8 +129,12 @@ class ForceGains(Effect):
 class ForceLatency(Effect):
     name = "force_latency"
     belongs_to = "force sensor"
-    sentence = "The force sensor reports late."
-    parameters = (Parameter("latency", "s", "delay of the force sensor", -0.3, 0.5, 0.03, 0.0),)
+    sentence = (
+        "The force sensor's clock is off: forces are reported late, or early if the latency is negative."
+    )
+    parameters = (
+        Parameter("latency", "s", "delay of the force sensor; negative if it is early", -0.3, 0.5, 0.03, 0.0),
+    )
 
     def force_delay(self, p: Any) -> Any:
         return p.latency

@@ -41,7 +41,7 @@ from slipmap.models.inference.residuals import Residuals, force_residuals, motio
 from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
-from slipmap.models.measurements.push_dataset import Setup, check_dataset_given
+from slipmap.models.measurements.push_dataset import Setup, check_dataset_given, check_distinct
 from slipmap.models.progress import Progress, about, silent
 from slipmap.models.settings import check_whole
 
@@ -290,7 +290,9 @@ def compare_together(
         progress: called with (stage, done, total).
 
     Raises:
-        DatasetError, EffectError, RolloutError, ValueError: as `fit_together`.
+        DatasetError, EffectError, RolloutError, ValueError: as `fit_together`; also two datasets that share
+            a push.
+        TypeError: something other than datasets.
 
     Example:
         >>> import dataclasses
@@ -302,6 +304,7 @@ def compare_together(
         ['hammer', 'again']
     """
     check_together(datasets, apart)
+    check_distinct(datasets)
     report = progress or silent
     fitted = fit_together(datasets, effects, apart=apart, seed=seed, progress=progress) if effects else None
     found = []

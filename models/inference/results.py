@@ -30,9 +30,9 @@ class Quantity:
     reason: str  # why, or why not
 
     def __str__(self) -> str:
-        """Name and interval: `total friction: 1.746 to 1.776 N`."""
+        """Name, value and interval: `total friction: 1.761 N (1.746 to 1.776)`."""
         unit = "" if self.unit == "-" else f" {self.unit}"
-        return f"{self.name}: {self.low:.4g} to {self.high:.4g}{unit}"
+        return f"{self.name}: {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
 
 
 @dataclass(frozen=True, eq=False)

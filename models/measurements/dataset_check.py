@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -55,6 +56,7 @@ from slipmap.models.measurements.what_pushes_show import (
     pushes_to_add,
     quantities_shown,
 )
+from slipmap.models.measurements.writing import IMPORTED
 
 Verdict = Literal["good", "note", "wrong"]
 
@@ -74,7 +76,7 @@ _FORCE_LATE = 0.01  # s
 _EXPLAINED = 0.25  # share of a force's delay by wrong geometry, from which this is told too
 _NO_GEOMETRY = ("force", "noise", "rounding")  # starts of findings that do not shift touches
 _NO_COMMON_LAG = "is a frame, the outline or finger.radius wrong, rather than a clock?"
-_SETUP = " (`clock` in a setup.yaml)"
+_SHIFT = "add "  # start of advice to correct a clock
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
@@ -411,12 +413,13 @@ def _clock_of_force(dataset: PushDataset, findings: Sequence[Finding]) -> list[F
             f" or is the force {_late(lag.value)}? See which before you change the force's clock"
         )
         return [Finding(what, f"{text}; {apart} would look {_late(explained)}", "note", advice)]
-    return [Finding(what, text, "note", f"add {lag.value:.3f} s to the stamps of the force{_SETUP}")]
+    return [Finding(what, text, "note", _shifted(dataset, ("ft_wrench", lag.value)))]
 
 
 def _doubts_geometry(finding: Finding) -> bool:
     """Whether a finding doubts the outline, the finger or a frame."""
-    if not finding.advice or finding.advice.endswith(_SETUP) or finding.what.startswith(_NO_GEOMETRY):
+    of_clock = finding.what.startswith("clock") and finding.advice.startswith(_SHIFT)
+    if not finding.advice or of_clock or finding.what.startswith(_NO_GEOMETRY):
         return False
     return finding.what != "reading" or "frame" in finding.advice
 
@@ -438,12 +441,15 @@ def _lag_of_finger(
     spread = error * np.sqrt(len(lags)) / max(abs(middle), 1e-9)
     error = max(error, float(np.median([lag.error for lag in lags])))
     apart = abs(middle) * speed
-    text = f"finger {_late(middle)} relative to the object, ± {1e3 * error:.1f} ms"
+    apart_in_time = f"finger {_late(middle)} relative to the object"
+    if _late(middle) != _late(0.0):
+        apart_in_time = f"finger {_late(middle)}, or equally the tracker {_late(-middle)}"
+    text = f"{apart_in_time}, ± {1e3 * error:.1f} ms"
     if abs(middle) <= 3.0 * error or apart <= _NOTABLE_LAG:
         return Finding(what, text, "good")
     size = "large" if middle > 0.0 else "small"
     found = f"{text}, or finger.radius or the outline {1e3 * apart:.1f} mm too {size}"
-    advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's{_SETUP}"
+    advice = _shifted(dataset, ("object_pose", -middle), ("tip_pose", middle))
     cause = common_cause(dataset, rows, len(rows))
     close = several and spread < _CLOSE_SPREAD
     if cause is not None and (cause.kind in FRAME_WRONG or (cause.kind != "lag" and not close)):
@@ -452,8 +458,40 @@ def _lag_of_finger(
         return Finding(what, f"{text}, from only {len(lags)} of {pushes} pushes", "note")
     if cause is None and spread > _LARGEST_SPREAD:
         span = f"{_late(min(values))} to {_late(max(values))}"
-        return Finding(what, f"{text}, but {span} in single pushes", "note", _NO_COMMON_LAG)
+        return Finding(what, f"{text}, but the finger {span} in single pushes", "note", _NO_COMMON_LAG)
     return Finding(what, found, "wrong" if several and apart > CALIBRATION_ERROR else "note", advice)
+
+
+def _shifted(dataset: PushDataset, *shifts: tuple[str, float]) -> str:
+    """Advice to correct a clock by one of these shifts (channel, s), with the key to change."""
+    if not (edited := _files_to_edit(dataset)):
+        keys = [f"{shift:.3f} s to `clock` of {channel}" for channel, shift in shifts]
+        return f"{_SHIFT}{', or '.join(keys)}, {_by_import(dataset)}"
+    keys = [f"{shift:.3f} s to t of each row of {channel}" for channel, shift in shifts]
+    return f"{_SHIFT}{', or '.join(keys)}, {edited}"
+
+
+def _files_to_edit(dataset: PushDataset) -> str:
+    """Where each channel has stamps of its own that can be edited, as words; empty if only an import can.
+
+    An import would be undone by editing its result, the channels of a CSV file share one column of stamps,
+    and HDF5 is not text.
+    """
+    names = [PurePosixPath(trial.name) for trial in dataset.trials]
+    if _imported(dataset) or any(name.suffix.lower() != ".json" for name in names):
+        return ""
+    return f"in every push ({parsing.listed(sorted({str(name.with_name('*.json')) for name in names}))})"
+
+
+def _by_import(dataset: PushDataset) -> str:
+    """How a key of a setup.yaml comes into effect, for pushes that are not to be edited."""
+    if _imported(dataset):
+        return "in the setup.yaml, and import again"
+    return "in a setup.yaml, and read the files with slipmap import"
+
+
+def _imported(dataset: PushDataset) -> bool:
+    return any(text.startswith(IMPORTED) for text in dataset.provenance)
 
 
 def _late(lag: float) -> str:
@@ -551,9 +589,12 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         ]
         if gone:
             text += f"; on import: {gone[0]}{f', and {len(gone) - 1} more' if len(gone) > 1 else ''}"
+        edited = _files_to_edit(dataset)
         advice = (
-            "subtract it with ft_wrench.offset in a setup.yaml, or keep rows before the touch so that slipmap"
-            " import can"
+            f"remove it from fx and fy of each row of ft_wrench, {edited}"
+            if edited
+            else f"subtract it with ft_wrench.offset {_by_import(dataset)}; slipmap import subtracts it by"
+            " itself if there are rows before the touch"
         )
         verdict: Verdict = "wrong" if matters else "note" if gone else "good"
         findings.append(Finding("force at rest", text, verdict, advice if matters else ""))

@@ -583,7 +583,35 @@ def dataset_of(
 
 def check_dataset_given(dataset: object) -> None:
     """Raise TypeError for something other than a dataset, such as the path of one."""
-    check_kind("dataset", dataset, PushDataset, "such as slipmap.read_dataset returns")
+    source = _SOURCE
+    if isinstance(dataset, list | tuple) and any(isinstance(one, PushDataset) for one in dataset):
+        source += ", not several, which diagnose_together, fit_together and compare_together take"
+    check_kind("dataset", dataset, PushDataset, source)
+
+
+_SOURCE = "such as slipmap.read_dataset returns"
+
+
+def check_datasets_given(datasets: object) -> None:
+    """Raise TypeError for something other than a list of datasets, such as one of them or a path."""
+    if isinstance(datasets, str) or not isinstance(datasets, Iterable):
+        raise TypeError(f"datasets must be a list of datasets; got one {type(datasets).__name__}")
+    for place, dataset in enumerate(datasets):
+        check_kind(f"datasets[{place}]", dataset, PushDataset, _SOURCE)
+
+
+def check_distinct(datasets: Sequence[PushDataset]) -> None:
+    """Raise DatasetError where two datasets contain the same push, which would count twice."""
+    owners: dict[bytes, str] = {}
+    for dataset in datasets:
+        for trial in dataset.trials:
+            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
+            owner = owners.setdefault(track, dataset.name)
+            if owner != dataset.name:
+                raise DatasetError(
+                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
+                    " count twice; give every push once"
+                )
 
 
 def gaps(setup: Setup | Slider, tips: FloatArray, poses: FloatArray) -> FloatArray:

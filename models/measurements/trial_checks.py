@@ -253,7 +253,8 @@ def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:
     return (
         f"the finger's stamps jitter by {1e3 * middle:.0f} ms, but its rows seem evenly spaced: it moves more"
         " smoothly from row to row than by its stamps",
-        "import with `rate` in a setup.yaml, for each channel whose rows are even, instead of stamps",
+        "space t evenly in each channel whose rows are even; slipmap import does so with `rate` in a"
+        " setup.yaml",
     )
 
 

@@ -351,7 +351,9 @@ def test_a_finger_that_begins_in_an_opening_is_lowered_into_it():
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     ring = cells_from_polygon(0.1 * square + [0.05, 0.0], [0.04 * square + [0.1, 0.0]], count=40)
     push = {"pose": [0.3, 0.2, 0.5 * np.pi], "tip_end": [0.3, 0.5], "speed": 0.02, "dwell": 0.0}
+    push["length"] = 0.19
     said = telling_push._how_to(push | {"tip_start": [0.3, 0.3]}, ring)
     assert "lower the finger into the opening first, then move it from (300, 300) mm" in said
+    assert "to (300, 500) mm, 190 mm of this after first touch, at 20 mm/s" in said
     said = telling_push._how_to(push | {"tip_start": [0.4, 0.0]}, ring)
     assert "opening" not in said and "move the finger from (400, 0) mm" in said

@@ -238,17 +238,28 @@ def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
 
 
 def leave(
-    identification: Identification, dataset: PushDataset, folder: Path, progress: Progress
+    identification: Identification,
+    dataset: PushDataset,
+    folder: Path,
+    progress: Progress,
+    *,
+    seed: int,
+    told: tuple[str, Sequence[str]] = ("", ()),
 ) -> dict[str, Path]:
-    """Write belief, pictures and report beside the pushes; returns their paths by name."""
+    """Write belief, pictures and report beside the pushes; returns their paths by name.
+
+    Args:
+        seed: of the run.
+        told: what it says of itself in the report: a headline, or nothing, and sentences.
+    """
     from slipmap.diagrams.application.commands.identify import keep
     from slipmap.diagrams.application.reports.comparison_report import comparison_report
     from slipmap.models.inference.comparison import compare
 
     belief = folder / "belief.npz"
     pictures = keep(identification, dataset, belief, None, progress)
-    comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-    text = comparison_report([comparison], dataset, str(folder / "pushes"))
+    comparison = compare(dataset, identification.belief, seed=seed, label="model", progress=progress)
+    text = comparison_report([comparison], dataset, str(folder / "pushes"), run=told)
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}

@@ -69,7 +69,7 @@ def predict(
             f"dataset {measured.name}: {_pushes(len(pushes))}; belief learned from dataset {belief.dataset}\n"
         )
     )
-    show_errors(pushes, measured, options.datasets_typed())
+    show_errors(pushes, measured, options.datasets_typed(), belief.effects)
     for path in drawn:
         note(f"picture: {path}")
 

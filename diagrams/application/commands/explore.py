@@ -150,7 +150,9 @@ def explore(
                 raise _ended(error, record, stopped) from error
             run, failure = error.run, f"{error}."
         with record.going_on(len(run.dataset.trials)), together():
-            written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
+            written = cell_run.leave(
+                run.identification, run.dataset, cell.folder, progress, seed=wanted.seed, told=_told(run)
+            )
             record.end(complete=not failure)
             write_json(json_file, {**_learned_json(run), "monitor": run.watch, "failure": failure})
     _show_exploration(run)
@@ -245,7 +247,10 @@ def pregrasp(
             )
             with together():
                 explored = run.exploration
-                written = cell_run.leave(explored.identification, explored.dataset, cell.folder, progress)
+                written = cell_run.leave(
+                    explored.identification, explored.dataset, cell.folder, progress,
+                    seed=seed, told=_told(explored, run.explorations),
+                )  # fmt: skip
                 record.end()
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run})
     except ExplorationFailed as error:
@@ -302,6 +307,24 @@ def _show_exploration(run: ExplorationRun) -> None:
             f" choosing pushes took {run.thinking:.0f} s."
         )
     paragraph(_monitor_words(run.watch))
+
+
+def _told(run: ExplorationRun, explored: int | None = None) -> tuple[str, list[str]]:
+    """Headline and sentences for the report on how the model was repaired, if it was to adapt; `explored` as
+    for `repair_story`."""
+    from slipmap.diagrams.application.reports.diagnosis_words import repair_headline, repair_story
+    from slipmap.models.inference.diagnosis.results import estimates_by_effect
+    from slipmap.models.inference.effect_words import effect_in_words
+
+    if run.repair is None:
+        return "", []
+    grid = run.identification.belief.grid
+    sizes = {
+        name: effect_in_words(name, estimates, grid)
+        for name, estimates in estimates_by_effect(run.identification).items()
+    }
+    headline = repair_headline(run.repair, run.watch, sizes)
+    return headline, repair_story(run.repair, run.watch, explored)
 
 
 def _show_surprises(run: ExplorationRun, folder: Path, explored: int | None = None) -> bool:

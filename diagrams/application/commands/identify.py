@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from slipmap.models.physics.rollout import Maps
 
 
+_FEWEST_FOR_INTERVALS = 10
+"""Hypotheses below which quantiles are hardly more than the two that lie farthest out."""
+
+
 class _Learning(NamedTuple):
     """Options of `identify` and `fit`: how to learn, and where to write the results."""
 
@@ -38,7 +42,12 @@ class _Learning(NamedTuple):
     json_file: Path | None
 
     def prepare(self) -> None:
-        """Make the folder for pictures, and the kernels."""
+        """Make the folder for pictures, and the kernels; warn of intervals from too few hypotheses."""
+        if self.hypotheses < _FEWEST_FOR_INTERVALS:
+            note(
+                f"warning: {self.hypotheses} hypotheses are too few for the 90 % intervals, which may be far"
+                f" too narrow or too wide; give --hypotheses {_FEWEST_FOR_INTERVALS} or more"
+            )
         if self.pictures is not None:
             make_folder(self.pictures)
         prepare_kernels()
@@ -278,7 +287,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
-    show_errors(result.pushes, dataset, where)
+    show_errors(result.pushes, dataset, where, belief.effects)
     missed = max(belief.settings.get("model_errors", [0.0]))
     far_off = missed >= MODEL_ERRORS[-1]  # the largest that is tried, so that it may be larger
     if far_off:

@@ -206,7 +206,12 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
 
 
 def load_dataset(
-    path: Path, object_name: str | None, progress: Progress, maps: Path | None = None
+    path: Path,
+    object_name: str | None,
+    progress: Progress,
+    maps: Path | None = None,
+    *,
+    named: bool = False,
 ) -> PushDataset:
     """Read a dataset with progress, and print warnings about it.
 
@@ -215,18 +220,24 @@ def load_dataset(
         object_name: what was pushed, where the dataset does not say.
         progress: called after each trial.
         maps: file with what is known of the object's maps.
+        named: whether warnings name the dataset, as where several are read.
 
     Raises:
         DatasetError: it cannot be used.
     """
     from slipmap.models.measurements import read_dataset
 
+    def tell(warning: str) -> None:
+        # Some begin with the path of a file in the dataset, others with the name of a push.
+        where = f"{path}: " if named and not warning.startswith(str(path)) else ""
+        note(f"warning: {where}{warning}")
+
     return read_dataset(
         path,
         object_name=object_name,
         maps=maps,
         progress=lambda done, total: progress("reading pushes", done, total),
-        tell=lambda warning: note(f"warning: {warning}"),
+        tell=tell,
     )
 
 
@@ -241,26 +252,19 @@ def load_together(
         one_only: options, besides --maps, that are for one dataset.
 
     Raises:
-        BadInput: such an option was given, or two datasets share a push, which would count twice.
-        DatasetError: a dataset cannot be used.
+        BadInput: such an option was given.
+        DatasetError: a dataset cannot be used, or two share a push, which would count twice.
     """
+    from slipmap.models.measurements.push_dataset import check_distinct
+
     for option in (*one_only, "--maps"):
         if asked_for("belief_file" if option == "--belief" else option.strip("-")):
             raise BadInput(
                 f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
                 " each dataset.yaml)"
             )
-    datasets = [load_dataset(path, object_name, progress) for path in paths]
-    owners: dict[bytes, str] = {}
-    for dataset in datasets:
-        for trial in dataset.trials:
-            track = trial.object_pose.time.tobytes() + trial.object_pose.values.tobytes()
-            owner = owners.setdefault(track, dataset.name)
-            if owner != dataset.name:
-                raise BadInput(
-                    f"datasets {owner} and {dataset.name} contain the same push ({trial.name}), which would"
-                    " count twice; give every push once"
-                )
+    datasets = [load_dataset(path, object_name, progress, named=True) for path in paths]
+    check_distinct(datasets)
     return datasets
 
 

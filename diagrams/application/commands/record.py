@@ -126,7 +126,7 @@ def replay(
         identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
     with together():
         with Progress() as progress:
-            written = cell_run.leave(identification, dataset, folder, progress)
+            written = cell_run.leave(identification, dataset, folder, progress, seed=seed)
         show(identification, dataset, options.typed(folder / "pushes"))
         lag = _shown_lag(dataset)
         write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})

@@ -186,13 +186,15 @@ def _legend(finger: bool) -> list[Line2D]:
         Line2D([], [], color=INK, linewidth=1.2, label="measured"),
         Line2D([], [], color=BELIEF, linewidth=1.2, alpha=0.8, label="predicted (faint: each hypothesis)"),
     ]
-    if finger:
-        handles += [
-            Line2D([], [], color=FINGER, linewidth=1.0, label="finger path:"),
-            Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
-            Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
-        ]
-    return handles
+    return [*handles, *_finger_handles()] if finger else handles
+
+
+def _finger_handles() -> list[Line2D]:
+    return [
+        Line2D([], [], color=FINGER, linewidth=1.0, label="finger path:"),
+        Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
+        Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
+    ]
 
 
 @styled
@@ -278,8 +280,9 @@ _FARTHEST = 0.03  # m; largest gap that is drawn
 def measured_figure(dataset: PushDataset) -> Figure:
     """Pushes on the table, and contact gap and measured force over time, push after push.
 
-    The gap is the distance between the finger's rim and the outline: near zero while the object moves, and
-    never below. Of many pushes, two dozen are drawn, evenly chosen.
+    A ring is the finger's start and a dot its end. The gap is the distance between the finger's rim and the
+    outline: near zero while the object moves, and never below. Of many pushes, two dozen are drawn, evenly
+    chosen.
 
     Example:
         >>> import slipmap
@@ -305,7 +308,8 @@ def measured_figure(dataset: PushDataset) -> Figure:
             near = (time >= trial.tip_pose.time[0]) & (time <= trial.tip_pose.time[-1])
             tips, poses = trial.tip_pose.at(time[near]), trial.object_pose.at(time[near])
             table.plot(*tips.T, color=FINGER, linewidth=0.9)
-            table.plot(*tips[:1].T, "o", color=FINGER, markersize=3.0)
+            table.plot(*tips[:1].T, "o", color=FINGER, markersize=3.0, markerfacecolor=PAPER)
+            table.plot(*tips[-1:].T, "o", color=FINGER, markersize=3.0)
             if not trial.ends_only:
                 gap = np.minimum(gaps(dataset, tips, poses), _FARTHEST)
                 gap_axes.plot(now + time[near] - begin, 1e3 * gap, color=BELIEF, linewidth=0.8)
@@ -324,6 +328,8 @@ def measured_figure(dataset: PushDataset) -> Figure:
     _label(table, over_time, ticks, now)
     more = "" if len(trials) == len(dataset.trials) else f", {len(trials)} of {len(dataset.trials)} pushes"
     figure.text(0.06, 0.985, f"{dataset.name}: what was measured{more}", va="top", fontsize=11)
+    if any(trial.finger_near(dataset.reach) for trial in trials):
+        figure.legend(handles=_finger_handles(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.0))
     return figure
 
 

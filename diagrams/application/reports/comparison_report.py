@@ -50,12 +50,19 @@ _MOSTLY_UNSEEN = (
 )
 
 
-def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, where: str = "DATASET") -> str:
+def comparison_report(
+    comparisons: Sequence[Comparison],
+    dataset: PushDataset,
+    where: str = "DATASET",
+    *,
+    run: tuple[str, Sequence[str]] = ("", ()),
+) -> str:
     """The report, a whole HTML document.
 
     Args:
         comparisons: one model, or two over the same pushes, the earlier model first.
         where: the dataset, as a command takes it.
+        run: what a run that recorded the pushes says of itself: a headline, or nothing, and sentences.
 
     Raises:
         ValueError: none or more than two models, or models over different pushes.
@@ -70,8 +77,13 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     title = f"{dataset.name}: model and measurement"
     last = comparisons[-1]
     headline, dot, others = words.warning(last, where).partition(". ")
-    headline = headline + dot.rstrip() or words.mean_error(last, named=len(comparisons) > 1)
-    found = (others, *words.findings(comparisons), words.chance_surprises(last))
+    warned = headline + dot.rstrip()
+    average = words.mean_error(last, named=len(comparisons) > 1)
+    told, sentences = run
+    headline, *below = [text for text in (warned, told) if text] or [average]
+    if told and not warned:
+        below = [average]
+    found = (others, *below, *sentences, *words.findings(comparisons), words.chance_surprises(last))
     return page(title, subtitle, [text for text in found if text], sections, headline)
 
 

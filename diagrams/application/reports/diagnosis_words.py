@@ -222,7 +222,7 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
         ("touch it at", f"{_millimetre_pair(pair('contact'))} of the object"),
         ("direction", f"{float(push['direction_deg']):.0f}°"),  # type: ignore[arg-type]
         ("speed", f"{1e3 * float(push['speed']):.0f} mm/s"),  # type: ignore[arg-type]
-        ("length", f"{1e3 * float(push['length']):.0f} mm"),  # type: ignore[arg-type]
+        ("length", f"{1e3 * float(push['length']):.0f} mm after first touch"),  # type: ignore[arg-type]
         ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
     ]
     if push["dwell"]:
@@ -484,14 +484,32 @@ def repair_story(repair: Repair, watch: Watch, explored: int | None = None) -> l
         return ["The model was not repaired: no push gave cause for a diagnosis."]
     said = [_finding(one, asks=explored is None or one.pushes < explored) for one in repair.findings]
     said += _widening(repair.findings[-1], watch.judged)
+    if fall := _fall_of_error(repair, watch):
+        said.append(f"{fall} Each push was predicted before it was made.")
+    return said
+
+
+def repair_headline(repair: Repair, watch: Watch, sizes: Mapping[str, str]) -> str:
+    """Which effects a run added, how large they are, and how much the error fell; empty if it added none.
+
+    Args:
+        sizes: of the effects of the model, in words.
+    """
+    given = watch.judged[0].effects if watch.judged else ()
+    added = [name for name in repair.effects if name not in given]
+    if not added:
+        return ""
+    told = "; ".join(f"{name} ({sizes[name]})" if name in sizes else name for name in added)
+    return f"The run added {told}. {_fall_of_error(repair, watch)}".rstrip()
+
+
+def _fall_of_error(repair: Repair, watch: Watch) -> str:
+    """The error of pushes before the model had its effects, and after; empty where there is only one."""
     after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
     before = [push for push in watch.judged if push not in after]
-    if repair.effects and before and after:
-        said.append(
-            f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}. Each push was"
-            " predicted before it was made."
-        )
-    return said
+    if not (repair.effects and before and after):
+        return ""
+    return f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}."
 
 
 def _finding(finding: Finding, *, asks: bool) -> str:

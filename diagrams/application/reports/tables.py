@@ -7,6 +7,7 @@ import numpy as np
 
 from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, JointComparison
 from slipmap.models.inference.effect_words import decimals
 from slipmap.models.inference.end_region import beyond_in_millimetres
@@ -50,12 +51,17 @@ _LAW_WORDS = {
 """Laws of `slipmap.models.inference.friction_laws` with at most one effect, in words."""
 
 
-def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str | None) -> None:
+def show_errors(
+    pushes: Sequence[Prediction], dataset: PushDataset, where: str | None, effects: Sequence[Effect] = ()
+) -> None:
     """Print errors of predicted ends by role beside two baselines, then push by push, with doubts.
 
     Args:
         where: the dataset as a command takes it; None where the caller prints surprising pushes itself.
+        effects: of the belief, which the uniform object has, too.
     """
+    # Otherwise its error seems to be that of a plain model.
+    same = f"; the uniform object has {', '.join(effect.name for effect in effects)}, too" if effects else ""
     rows = []
     for role, name in phrases.ROLES.items():
         group = [push for push in pushes if push.role == role]
@@ -64,7 +70,7 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str |
                 numbers = [average([getattr(push, of) for push in group]) for of in _MEASURES]
                 rows.append([f"{len(group)} {name}", label, *map(_millimetres, numbers)])
     table(
-        "Error at the end of a push, mm (ADD: mean distance of the cells)",
+        f"Error at the end of a push, mm (ADD: mean distance of the cells{same})",
         ["pushes", "", "this belief", "uniform object", "object does not move"],
         rows,
         numbers=(2, 3, 4),

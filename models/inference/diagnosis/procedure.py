@@ -114,11 +114,12 @@ def diagnose(
         DatasetError: no push is left to fit.
         EffectError: an unknown or no candidate, or one whose formula cannot be used.
         TypeError: something other than a dataset.
-        ValueError: too few draws for the level of the test, or a seed that is not a whole number.
+        ValueError: too few draws for the level of the test; draws or a seed that are no whole number.
     """
     check_dataset_given(dataset)
     check_whole("seed", seed, 0)
     candidates = candidates_given(effects)
+    check_whole("draws", draws, 0)
     if not quick and draws < FEWEST_DRAWS:
         raise ValueError(f"draws must be at least {FEWEST_DRAWS} for p <= {LEVEL}, got {draws}")
     started = time.perf_counter()
@@ -193,7 +194,7 @@ def diagnose(
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
     free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)
-    outcome = with_other_causes(outcome, dataset, without, after, free_mass)
+    outcome = with_other_causes(outcome, dataset, without, before, after, free_mass)
     return Diagnosis(
         **vars(outcome),
         candidates=tuple(inquiry.candidates(learned, outcome.effects)),

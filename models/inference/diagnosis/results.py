@@ -168,12 +168,14 @@ class Diagnosis(Outcome):
         if self.verdict == "adequate":
             return f"run `slipmap identify {_plain(where)} -o belief.npz` to learn the model to plan with."
         if self.verdict == "effect":
-            names = " ".join(f"--effect {name}" for name in self.effects)
-            more = "" if set(self.best.effects) <= set(LIBRARY) else _own(where)
-            output = f"with-{'-'.join(self.effects)}.npz"
-            return f"run `slipmap fit {_plain(where)} {names}{more} -o {output}` to learn this model."
+            return f"run `{_fit(where, self.effects, self.best)}` to learn this model."
         if self.verdict == "ambiguous":
-            return f"{push}, then run {again} again."
+            simplest = min(self.rivals, key=lambda rival: sum(len(one.parameters) for one in rival.effects))
+            command = _fit(where, [effect.name for effect in simplest.effects], simplest)
+            return (
+                f"{push}, then run {again} again. If no more pushes can be made, predict with what has the"
+                f" fewest parameters: run `{command}`."
+            )
         if self.verdict == "unknown":
             return (
                 f"run `slipmap compare {where}` to see where and how the model fails; write your own effect"
@@ -431,6 +433,13 @@ def _own(where: str) -> str:
     pairs = pairwise(["", *shlex.split(where)])
     files = [word for before, word in pairs if before == "--effect-file"]
     return "".join(f" --effect-file {shlex.quote(file)}" for file in files or ["FILE"])
+
+
+def _fit(where: str, names: Sequence[str], fitted: Fitted) -> str:
+    """The command that learns a model with the effects of these names, those of `fitted`."""
+    options = " ".join(f"--effect {name}" for name in names)
+    own = "" if set(fitted.effects) <= set(LIBRARY) else _own(where)
+    return f"slipmap fit {_plain(where)} {options}{own} -o with-{'-'.join(names)}.npz"
 
 
 def _after(first: Sequence[str], again: str, step: str) -> str:

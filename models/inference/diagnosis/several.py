@@ -58,6 +58,7 @@ from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.push_dataset import check_datasets_given
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -183,8 +184,10 @@ def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> N
 
     Raises:
         DatasetError: fewer than two datasets, or two with the same name.
+        TypeError: something other than datasets.
         ValueError: an unknown owner.
     """
+    check_datasets_given(datasets)
     strangers = [owner for owner in apart if owner not in get_args(Owner)]
     if strangers:
         raise ValueError(f"apart: unknown owner {strangers[0]!r}; choose from {', '.join(get_args(Owner))}")

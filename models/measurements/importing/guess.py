@@ -33,9 +33,11 @@ _FLAT = 0.2  # share of the range of other axes in which a height varies
 _SLOWEST = 0.5  # s from row to row; no sensor is slower
 _MOST_CHANGES = 0.1  # share of rows at which a column that numbers pushes changes
 _MOST_FILES = 3  # files of each kind that are examined
-_UNIT = re.compile(r"[ _.]?[\[(]?(?<=[ _.\[(])(ns|us|ms|s|mm|cm|m|deg|rad|mN|kN|N)[\])]?$")
+_UNIT = re.compile(r"[ _.]?[\[(]?(?<=[ _.\[(])(ns|us|ms|s|um|mm|cm|m|deg|rad|mN|kN|N)[\])]?$")
+_ODD_UNIT = re.compile(r"[ _.]?[\[(]([^\W\d][^\[\]()]*)[\])]$")  # in brackets, whether known or not
 _PLANE = re.compile(r"(.*?)(x)([\])]?)$", re.IGNORECASE)
 _AXIS_FIRST = re.compile(rf"()(x)([._]({'|'.join((*_FINGER, *_OBJECT))}).*)$", re.IGNORECASE)
+_FORCE_NAME = re.compile(r"force|wrench|(^|[._])f_?x$")
 _PUSH = re.compile(r"(push|trial)([_ ]?(id|no|nr|number|index|\d+))?$", re.IGNORECASE)
 
 
@@ -79,17 +81,19 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
     files = find_files(paths)
     found: list[_Found] = []
+    odd: dict[str, str] = {}
     patterns = _patterns(list(files))
     for pattern, names in patterns.items():
         for source in read_sources(files[names[0]], str(files[names[0]])):
             found += list(_candidates(source, pattern))
+            odd |= _odd_units(source)
     force = _best([one for one in found if _is_force(one)], _FORCE)
     places = [one for one in found if not _is_force(one)]
     finger = _best([one for one in places if one.speaks_of(_FINGER)], _FINGER)
     others = [one for one in places if one is not finger]
     pose = _best([one for one in others if one.turn is not None] or others, _OBJECT)
     if pose is None:
-        listed = "; ".join(one.source.listed for one in found[:3])
+        listed = "; ".join([*odd.values(), *(one.source.listed for one in found[:3])])
         raise DatasetError(
             f"{', '.join(files)}: nothing looks like an object's pose, which is x and y with an angle or a"
             f" quaternion. {listed or _NO_NAMES}"
@@ -104,7 +108,9 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     ]
     up = _up(pose)
     for name, one in (("object_pose", pose), ("tip_pose", finger), ("ft_wrench", force)):
-        lines += _entry(name, one, several=len(patterns) > 1)
+        lines += _entry(
+            name, one, several=len(patterns) > 1, missing=odd.get(name, "no columns look like it")
+        )
         turned = up != "z" and one is not None and one.file == pose.file and len(one.columns) == 3
         if turned and name != "ft_wrench":
             lines.append(f"  up: {up}  # the object's {up} hardly changes")
@@ -188,7 +194,7 @@ def _unit(name: str, kind: str) -> str:
 
 def _is_force(one: _Found) -> bool:
     last = _bare(one.columns[0]).lower()
-    return bool(re.search(r"force|wrench|(^|[._])f_?x$", last))
+    return bool(_FORCE_NAME.search(last))
 
 
 def _best(found: Sequence[_Found], words: Sequence[str]) -> _Found | None:
@@ -201,10 +207,34 @@ def _farthest(found: Sequence[_Found]) -> _Found | None:
     return max(found, key=lambda one: float(np.nansum(np.abs(np.diff(one.values, axis=0)))), default=None)
 
 
-def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
-    """The lines of a channel in a setup.yaml."""
+def _odd_units(source: Source) -> dict[str, str]:
+    """What is said of columns that would be a channel, by its name, if their unit were known."""
+    said: dict[str, str] = {}
+    for column in source.columns:
+        unit = _ODD_UNIT.search(column)
+        if unit is None or any(unit[1] in known for known in UNITS.values()):
+            continue
+        stem = column[: unit.start()]
+        axis = _PLANE.match(stem)
+        if (
+            axis is None
+            or f"{axis[1]}{'Y' if axis[2] == 'X' else 'y'}{axis[3]}{unit[0]}" not in source.columns
+        ):
+            continue
+        force = bool(_FORCE_NAME.search(stem.lower()))
+        finger = any(word in stem.lower() for word in _FINGER)
+        name = "ft_wrench" if force else "tip_pose" if finger else "object_pose"
+        known = ", ".join(UNITS["force" if force else "position"])
+        said.setdefault(
+            name, f"the unit of {_quoted(column)} is unknown, so convert it; known units are {known}"
+        )
+    return said
+
+
+def _entry(name: str, one: _Found | None, several: bool, missing: str) -> list[str]:
+    """The lines of a channel in a setup.yaml; `missing` is why there are no columns for it."""
     if one is None:
-        return [f"{name}: null  # no columns look like it"]
+        return [f"{name}: null  # {missing}"]
     force = name == "ft_wrench"
     lines = [f"{name}:  # by its names{'' if force or one.turn else ', without an angle'}"]
     if several:

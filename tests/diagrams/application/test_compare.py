@@ -213,6 +213,10 @@ def headline_of(html):
 def test_the_mean_error_is_the_headline_of_a_report_unless_pushes_surprise_beyond_chance(learned):
     dataset, _, result = learned
     assert headline_of(report([result], dataset)) == mean_error(result)
+    # A run that recorded the pushes tells its story first, unless the model is doubted.
+    told = report([result], dataset, run=("It added table_tilt.", ["Then it grasped."]))
+    assert headline_of(told) == "It added table_tilt."
+    assert f"<p>{mean_error(result)}</p>\n<p>Then it grasped.</p>" in told
     held = [replace(push, observation=replace(push.observation, role="heldout")) for push in result.pushes]
     *usual, last = held
     barely = replace(last, end_region=region_left_by(1.05, last.measured[-1]))

@@ -206,6 +206,24 @@ def test_every_verdict_ends_with_a_command(tilted, verdict, command, capsys):
     assert ("imported" in told.next_step()) == (verdict in ("ambiguous", "undecided"))
 
 
+def test_without_more_pushes_the_simplest_of_several_effects_predicts(tilted):
+    """A tether has more parameters than a tilt, and a pair more than one of its effects."""
+    _, found = tilted
+    tilt, tether, latency = effects_named(["table_tilt", "tether", "sensor_latency"])
+    for rivals, command in (
+        ([[tether], [tilt]], "--effect table_tilt -o with-table_tilt.npz"),
+        (
+            [[tilt, tether], [tilt, latency]],
+            "--effect table_tilt --effect sensor_latency -o with-table_tilt-sensor_latency.npz",
+        ),
+    ):
+        fitted = tuple(replace(found.best, effects=tuple(effects)) for effects in rivals)
+        told = replace(found, verdict="ambiguous", rivals=fitted, quick=False)
+        step = told.next_step("my/pushes")
+        assert step.endswith(f"fewest parameters: run `slipmap fit my/pushes {command}`."), step
+        assert "run `slipmap diagnose my/pushes` again" in step
+
+
 def test_what_may_be_wrong_with_the_dataset_comes_before_the_command(tilted):
     _, found = tilted
     sure = replace(found, quick=False)
@@ -236,6 +254,7 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
     for fact in (
         "x 100 mm, y -50 mm, turned by 90°",
         "table_tilt, sensor_latency",
+        f"{1e3 * PUSH['length']:.0f} mm after first touch",
         "7.3 standard deviations",
     ):
         assert fact in page.text

@@ -32,7 +32,7 @@ from slipmap.diagrams.application.figures.style import (
     placed,
     round_length,
 )
-from slipmap.diagrams.systems.look import top_of_scale
+from slipmap.diagrams.systems.look import FINGER, PAPER, top_of_scale
 from slipmap.models.effects import LIBRARY
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.cell_grid import CellGrid
@@ -201,6 +201,20 @@ def test_only_what_was_measured_has_axes(belief):
     alone = measured_figure(bare).axes
     assert [axes.get_ylabel() for axes in alone] == ["y, m", "gap, mm"]
     assert alone[1].get_xlabel().startswith("time")
+
+
+def test_a_ring_is_where_the_finger_starts_and_a_dot_where_it_ends(belief):
+    """Measured pushes are drawn like predicted ones, and the legend says so."""
+    _, dataset = pushes_of(belief, 1)
+    figure = measured_figure(dataset)
+    marks = [line for line in figure.axes[0].get_lines() if line.get_marker() == "o"]
+    for trial, (first, last) in zip(dataset.trials, zip(marks[::2], marks[1::2], strict=True), strict=True):
+        pose, tip = trial.object_pose, trial.tip_pose
+        np.testing.assert_allclose(np.ravel(first.get_data()), tip.at(pose.time[0]), atol=1e-9)
+        np.testing.assert_allclose(np.ravel(last.get_data()), tip.at(pose.time[-1]), atol=1e-9)
+        assert first.get_markerfacecolor() == PAPER and last.get_markerfacecolor() == FINGER
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["finger path:", "start", "end"]
 
 
 def test_holes_are_part_of_an_outline_and_turn_with_it():

@@ -12,6 +12,7 @@ import sys
 import termios
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -20,7 +21,7 @@ import pytest
 from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
-from slipmap.diagrams.application.commands.identify import _chosen, show
+from slipmap.diagrams.application.commands.identify import _chosen, _Learning, show
 from slipmap.diagrams.application.demonstration import tilted_block
 from slipmap.diagrams.application.reports.comparison_words import surprises
 from slipmap.diagrams.application.reports.tables import (
@@ -32,6 +33,7 @@ from slipmap.diagrams.application.reports.tables import (
     shown,
 )
 from slipmap.diagrams.application.terminal import Progress, table
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.files import BadInput, whole_file, write_json
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
@@ -214,6 +216,24 @@ def test_error_table_averages_by_role_against_both_baselines(capsys):
     assert ["2", "fit", "mean", "2.0", "30.0", "60.0"] in lines
     assert ["1", "held", "out", "median", "7.1", "50.0", "100.0"] in lines
     assert ["000", "fit", "1.0", "2.0", "20.0", "30.0"] in lines
+
+
+@pytest.mark.parametrize(("hypotheses", "warned"), [(3, True), (9, True), (10, False)])
+def test_few_hypotheses_give_no_intervals_to_trust(monkeypatch, capsys, hypotheses, warned):
+    monkeypatch.setattr("slipmap.diagrams.application.commands.identify.prepare_kernels", lambda: None)
+    _Learning(Path("belief.npz"), hypotheses, 0, None, None, None, None).prepare()
+    said = capsys.readouterr().err
+    assert (f"warning: {hypotheses} hypotheses are too few for the 90 % intervals" in said) is warned
+    assert ("give --hypotheses 10 or more" in said) is warned
+
+
+def test_a_uniform_object_with_effects_is_not_taken_for_a_plain_one(capsys):
+    held = [prediction(role="heldout")]
+    show_errors(held, recorded_by(Noise()), "pushes")
+    assert "uniform object has" not in capsys.readouterr().out
+    show_errors(held, recorded_by(Noise()), "pushes", effects_named(["table_tilt", "tether"]))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "mean distance of the cells; the uniform object has table_tilt, tether, too)" in said
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
-from slipmap.diagrams.application.reports.diagnosis_words import repair_story
+from slipmap.diagrams.application.commands.explore import _told
+from slipmap.diagrams.application.reports.diagnosis_words import repair_headline, repair_story
 from slipmap.diagrams.systems.diagnosis import Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 
@@ -37,6 +39,29 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
     assert second.endswith("lacks one effect: table_tilt. From then on, the model included table_tilt.")
     assert "3 pushes ended 24.0 mm off (median), 24 % of how far they moved the object" in third
     assert "with table_tilt, 3 pushes ended 4.0 mm off (median), 4 % of how" in third
+
+
+def test_the_headline_names_what_was_added_its_size_and_the_fall_of_the_error():
+    sizes = {"table_tilt": "tilt 8.0°", "tether": "a pull of 2 N"}
+    seen = watch((0.024, ("tether",)), (0.004, ("tether", *TILT)))
+    said = repair_headline(Repair(6, ("tether", *TILT), 8), seen, sizes)
+    assert said.startswith("The run added table_tilt (tilt 8.0°). Before, 1 push ended 24.0 mm off")
+    assert "with tether and table_tilt, 1 push ended 4.0 mm off" in said
+    assert repair_headline(Repair(6, ("tether",), 8), seen, sizes) == ""
+
+
+def test_the_report_of_a_run_is_told_what_the_terminal_says():
+    repair, seen = Repair(6, TILT, 8), watch((0.024, ()), (0.004, TILT))
+    slopes = {
+        name: {"unit": "rad", "value": value, "low": value, "high": value}
+        for name, value in (("down_x", 0.1), ("down_y", 0.0))
+    }
+    learned = SimpleNamespace(belief=SimpleNamespace(grid=None), effect_estimates={"table_tilt": slopes})
+    run = SimpleNamespace(repair=repair, watch=seen, identification=learned)
+    headline, sentences = _told(run)
+    assert headline.startswith("The run added table_tilt (tilt 5.7° (5.7 to 5.7), downhill towards 0")
+    assert sentences == repair_story(repair, seen)
+    assert _told(SimpleNamespace(repair=None)) == ("", [])
 
 
 def test_pushes_towards_the_edge_are_not_said_to_be_chosen_to_find_out():

@@ -10,11 +10,12 @@ from schemas import assert_as_described
 
 import slipmap as slipmap_package
 from slipmap.diagrams.application.command_line import slipmap
-from slipmap.diagrams.application.commands.options import datasets_typed
+from slipmap.diagrams.application.commands.options import datasets_typed, load_dataset
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 from slipmap.diagrams.application.reports.diagnosis_words import joint_ranking, show_together, where_it_falls
 from slipmap.diagrams.application.reports.tables import joint_rows
+from slipmap.diagrams.application.terminal import Progress
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.comparison import Comparison, JointComparison, totals
 from slipmap.models.inference.diagnosis.locked import LockedErrors
@@ -317,6 +318,25 @@ def test_a_copy_of_a_dataset_under_another_name_is_refused(slipmap, tmp_path):
     for command in (["diagnose"], ["fit", "--effect", "table_tilt", "-o", tmp_path / "b.npz"], ["compare"]):
         said = slipmap(*command, tmp_path / "first", tmp_path / "second")
         assert said.code == 2 and "first and second contain the same push" in " ".join(said.err.split())
+
+
+def test_warnings_about_several_datasets_name_the_dataset(tmp_path, capsys):
+    """A warning about several pushes begins with their names alone."""
+    folders = written(tmp_path, "first", "second")
+    for folder in folders:
+        for file in (folder / "trials").glob("00[01].json"):
+            trial = json.loads(file.read_text())
+            trial["lamp"] = [1.0]
+            file.write_text(json.dumps(trial))
+    with Progress() as progress:
+        load_dataset(folders[0], None, progress)
+        alone = capsys.readouterr().err
+        for folder in folders:
+            load_dataset(folder, None, progress, named=True)
+    assert "warning: trials/000.json; trials/001.json: " in alone
+    said = capsys.readouterr().err
+    assert f"warning: {folders[0]}: trials/000.json" in said and f"warning: {folders[1]}: trials" in said
+    assert said.count(str(folders[0])) == 1
 
 
 def test_names_that_give_the_same_file_are_refused(slipmap, tmp_path):

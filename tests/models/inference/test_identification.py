@@ -184,8 +184,8 @@ def test_measured_pushes(shared_data, name, seeds, limit, measure):
 
 def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
     friction = Quantity("finger friction", "-", 0.298, 0.2931, 0.30391, True, "")
-    assert str(friction) == "finger friction: 0.2931 to 0.3039"
-    assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.2931 to 0.3039 kg"
+    assert str(friction) == "finger friction: 0.298 (0.2931 to 0.3039)"
+    assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.298 kg (0.2931 to 0.3039)"
 
 
 @pytest.mark.parametrize("columns", range(4, 16))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 import slipmap
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.comparison import compare_together
+from slipmap.models.inference.diagnosis.several import diagnose_together, fit_together
 from slipmap.models.inference.identification import identify
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import DatasetError, PushDataset
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +120,25 @@ def test_a_diagnosis_needs_a_candidate(pushes: PushDataset) -> None:
 def test_a_dataset_is_not_its_path(call: Callable[[], Any]) -> None:
     with pytest.raises(TypeError, match=r"dataset must be a PushDataset, such as slipmap.read_dataset"):
         call()
+
+
+def test_several_datasets_are_taken_by_other_functions(pushes: PushDataset) -> None:
+    with pytest.raises(TypeError, match=r"not several, which diagnose_together, .* take; got a list"):
+        slipmap.diagnose([pushes, pushes])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"draws must be a whole number of at least 0, got 250\.5"):
+        slipmap.diagnose(pushes, draws=250.5)  # type: ignore[arg-type]
+    other = replace(pushes, name="other")
+    for datasets, kind, words in (
+        (pushes, TypeError, "datasets must be a list of datasets; got one PushDataset"),
+        ("tilted", TypeError, "datasets must be a list of datasets; got one str"),
+        ([pushes, "tilted"], TypeError, r"datasets\[1\] must be a PushDataset, such as .*; got a str"),
+        ([pushes, other], DatasetError, r"hammer and other contain the same push \(trials/000\.json\)"),
+    ):
+        with pytest.raises(kind, match=words):
+            compare_together(datasets)
+    for call in (diagnose_together, partial(fit_together, effects=["table_tilt"])):
+        with pytest.raises(TypeError, match=r"datasets\[1\] must be a PushDataset"):
+            call([pushes, "tilted"])
 
 
 def test_what_identify_returns_is_taken_as_its_belief(pushes: PushDataset) -> None:

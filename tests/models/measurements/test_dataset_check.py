@@ -1,5 +1,6 @@
 """What is wrong with pushes is found with its size; what is right is left in peace."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -101,7 +102,52 @@ def test_a_late_finger_is_told_with_its_size():
     check = changed(late)
     found = finding(check, "clock of the finger")
     assert found.verdict == "wrong" and check.headline.startswith("Wrong: clock of the finger")
-    assert float(found.found.split("finger ")[1].split(" ms late")[0]) == pytest.approx(50.0, abs=5.0)
+    told = float(found.found.split("finger ")[1].split(" ms late")[0])
+    assert told == pytest.approx(50.0, abs=5.0)
+    assert f"finger {told:.0f} ms late, or equally the tracker {told:.0f} ms early" in found.found
+
+
+@pytest.mark.parametrize(
+    ("name", "provenance", "finger", "force", "bias"),
+    [
+        (
+            "trials/{}.json",
+            (),
+            r" s to t of each row of tip_pose, in every push \(trials/\*\.json\)$",
+            r"^add -0\.\d+ s to t of each row of ft_wrench, in every push \(trials/\*\.json\)$",
+            "remove it from fx and fy of each row of ft_wrench, in every push",
+        ),
+        (
+            "trials/{}.json",
+            ("imported from log.txt",),
+            r" s to `clock` of tip_pose, in the setup\.yaml, and import again$",
+            r"^add -0\.\d+ s to `clock` of ft_wrench, in the setup\.yaml, and import again$",
+            "subtract it with ft_wrench.offset in the setup.yaml, and import again",
+        ),
+        (
+            "{}.csv",
+            (),
+            r" s to `clock` of tip_pose, in a setup\.yaml, and read the files with slipmap import$",
+            r"^add -0\.\d+ s to `clock` of ft_wrench, in a setup\.yaml, and read the files with slipmap",
+            "subtract it with ft_wrench.offset in a setup.yaml, and read the files with slipmap import",
+        ),
+    ],
+)
+def test_advice_names_what_can_be_changed_in_these_files(name, provenance, finger, force, bias):
+    dataset = straight_pushes(8)
+
+    def check(channel, seconds=0.0, change=0.0):
+        trials = []
+        for number, trial in enumerate(map(waited, dataset.trials)):
+            rows = getattr(trial, channel)
+            own = {channel: Channel(rows.time + seconds, rows.values + change)}
+            trials.append(replace(trial, name=name.format(number), **own))
+        return check_dataset(replace(dataset, trials=tuple(trials), provenance=provenance))
+
+    assert re.search(finger, finding(check("tip_pose", 0.05), "clock of the finger").advice)
+    assert re.search(force, finding(check("ft_wrench", 0.03), "clock of the force").advice)
+    biased = check("ft_wrench", change=np.array([0.3, -0.4, 0.0]))
+    assert finding(biased, "force at rest").advice.startswith(bias)
 
 
 def test_a_late_force_is_told_with_its_size():

@@ -114,6 +114,8 @@ def _as_it_is(forces: FloatArray) -> FloatArray:
     return forces
 
 
+_ROUNDS = 20  # of Newton's method for the loads of an object
+
 Factor = FloatArray | float | None
 Report = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
@@ -244,6 +246,10 @@ def friction_drift(change: float) -> Effect:
 
 def load_transfer(push_height: float, mass_height: float) -> Effect:
     """Pushing at `push_height` above the table and braking with the mass at `mass_height` shift the load."""
+    plane = np.zeros(3)
+
+    def begin(push: int, pushes: int, points: int) -> None:
+        plane[:] = 0.0
 
     def factor(now: Instant) -> FloatArray:
         push = now.rotation.T @ now.contact[:2]
@@ -251,11 +257,27 @@ def load_transfer(push_height: float, mass_height: float) -> Effect:
         push *= min(1.0, now.loads.sum() / max(float(np.hypot(*push)), 1e-9))
         inertial = push + now.rotation.T @ now.friction[:2]
         moment = push * push_height - inertial * mass_height
-        arms = now.points - now.points.mean(axis=0)
-        shift = arms @ np.linalg.solve(arms.T @ arms, moment)
-        return np.clip(1.0 + shift / now.loads, 0.0, 3.0)
+        return shifted_loads(now.loads, now.points, moment, plane) / now.loads
 
-    return Effect(friction_factor=factor)
+    return Effect(begin=begin, friction_factor=factor)
+
+
+def shifted_loads(loads: FloatArray, points: FloatArray, moment: FloatArray, plane: FloatArray) -> FloatArray:
+    """Loads (p,) of a rigid object on equally soft points (p, 2) once a moment (2,) acts on it, N m.
+
+    They differ from `loads` by a plane, are nowhere negative, and balance weight and moment. An object that
+    no loads can hold keeps its weight alone. The search starts from `plane` (3,), which receives the result.
+    """
+    levers = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
+    wanted = levers.T @ loads + np.array([0.0, *moment])
+    for _ in range(_ROUNDS):
+        pressed = np.maximum(loads + levers @ plane, 0.0)
+        missing = wanted - levers.T @ pressed
+        if np.abs(missing).max() < 1e-9 * loads.sum():
+            break
+        touching = levers[pressed > 0]
+        plane += np.linalg.solve(touching.T @ touching + 1e-9 * np.eye(3), missing)
+    return pressed * (loads.sum() / pressed.sum())
 
 
 def ageing(rise: float, memory: float) -> Effect:

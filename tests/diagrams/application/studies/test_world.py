@@ -27,6 +27,7 @@ from slipmap.diagrams.application.studies.blind.secret_effects import (
     moving_table,
     patch_friction_field,
     sensor_latency,
+    shifted_loads,
     skate,
     stribeck_friction,
     table_tilt,
@@ -209,6 +210,22 @@ def test_stribeck_friction_takes_the_force_that_its_law_says():
     motion = World(block(), stribeck_friction(static=1.6, speed=0.05)).push(straight(0.04, 0.8))
     force = np.diff(motion.impulse[-300:, 0]).mean() / 5e-4
     assert force == pytest.approx(MU * MASS * GRAVITY * (1 + 0.6 * np.exp(-0.04 / 0.05)), rel=5e-3)
+
+
+@pytest.mark.parametrize("lever", [0.01, 0.03])
+def test_a_moment_shifts_load_as_on_an_elastic_table(lever):
+    """A uniform bar of half length L under a moment of its weight times `lever`: at L/3 one end lifts off."""
+    half, weight = 0.05, 4.0
+    x = np.linspace(-half, half, 2001)
+    points = np.array([(a, b) for a in x for b in (-0.01, 0.01)])
+    loads = np.full(len(points), weight / len(points))
+    pressed = shifted_loads(loads, points, np.array([weight * lever, 0.0]), np.zeros(3))
+    across = 1.0 + 3.0 * lever * points[:, 0] / half**2
+    contact = 3.0 * (half - lever)
+    lifted = np.maximum(2.0 * (points[:, 0] - half + contact) / contact, 0.0) * 2.0 * half / contact
+    expected = across if lever < half / 3 else lifted
+    assert pressed / loads == pytest.approx(expected, abs=5e-3)
+    assert pressed @ points[:, 0] == pytest.approx(weight * lever, rel=1e-6)
 
 
 def test_a_tether_a_belt_and_gusts_move_what_friction_does_not_hold():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.locked import locked_errors
 from slipmap.models.inference.diagnosis.outcomes import (
     Outcome,
     doubts_of_check,
@@ -48,7 +49,7 @@ def pushes() -> PushDataset:
 
 def told(dataset: PushDataset, verdict: str, *effects: str, belief: object = None) -> Outcome:
     answer = Outcome(verdict, "The verdict.", None, effects)
-    return with_other_causes(answer, dataset, SimpleNamespace(belief=belief), None, lambda: None)
+    return with_other_causes(answer, dataset, SimpleNamespace(belief=belief), None, None, lambda: None)
 
 
 @pytest.mark.parametrize(("factor", "size"), [(1.2, "too large"), (0.8, "too small")])
@@ -116,6 +117,51 @@ def test_a_wrong_mass_is_named_beside_the_effect_that_it_imitates():
     assert "A wrong object.mass would look like loose_mass" in found.sentence
     assert "instead of 3 kg" in found.sentence
     assert "weigh the object" in found.next_step()
+
+
+def weighed(value: float, low: float, high: float, *misfits: float) -> SimpleNamespace:
+    """What is learned, with these misfits of the locked pushes."""
+    errors = [SimpleNamespace(mean_add=1e-3, final_add=1e-3, misfit=misfit) for misfit in misfits]
+    pushes = [SimpleNamespace(role="heldout", errors=one) for one in errors]
+    mass = SimpleNamespace(name="total mass", value=value, low=low, high=high)
+    return SimpleNamespace(quantities=[mass], belief=None, pushes=pushes)
+
+
+BETTER = weighed(0.6, 0.3, 0.9, 1.0, 1.1, 1.0, 0.9)
+
+
+@pytest.mark.parametrize("verdict", ["adequate", "undecided"])
+@pytest.mark.parametrize(
+    ("without", "free", "contradicted"),
+    [
+        (weighed(0.95, 0.9, 1.0, 1.8, 1.7, 1.9, 1.8), BETTER, True),
+        (weighed(0.95, 0.9, 1.0, 1.1, 1.2, 1.1, 1.0), BETTER, True),
+        (weighed(1.0, 0.96, 1.04, 1.8, 1.7, 1.9, 1.8), BETTER, True),
+        (weighed(1.0, 0.96, 1.04, 1.1, 1.2, 1.1, 1.0), None, False),  # nothing suggests it
+        (weighed(0.95, 0.9, 1.0, 1.8, 1.7, 0.2, 0.2), BETTER, False),  # not better in most pushes
+        (weighed(0.95, 0.9, 1.0, 1.8, 1.7, 1.9, 1.8), weighed(0.8, 0.5, 1.2, 1.0, 1.1, 1.0, 0.9), False),
+    ],
+)  # fmt: skip
+def test_a_stated_mass_that_predicts_worse_than_another_is_told(pushes, verdict, without, free, contradicted):
+    def relearned():
+        assert free is not None, "another fit was made though nothing suggests a wrong mass"
+        return free
+
+    answer = Outcome(verdict, "The verdict.", None)
+    found = with_other_causes(answer, pushes, without, locked_errors(without), None, relearned)
+    assert (
+        "object.mass of 1 kg contradicts the pushes: with 0.3 to 0.9 kg" in found.sentence
+    ) is contradicted
+    assert found.first == (("weigh the object, and correct object.mass",) if contradicted else ())
+
+
+def test_a_mass_stated_three_times_too_large_does_not_pass():
+    made = recorded(20)
+    trials = (replace(trial, role="fit" if k < 7 else "heldout") for k, trial in enumerate(made.trials))
+    wrong = replace(made, mass=3.0, trials=tuple(trials))
+    found = diagnose(wrong, effects=effects_named(["table_tilt"]), quick=True)
+    assert not found.effects and "stated object.mass of 3 kg contradicts the pushes" in found.sentence
+    assert found.next_step().startswith("weigh the object, and correct object.mass")
 
 
 def test_cells_wider_than_the_base_are_named_where_nothing_explains_the_pushes(pushes):

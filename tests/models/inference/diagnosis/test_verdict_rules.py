@@ -12,6 +12,7 @@ from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import (
     FAR_BEHIND,
+    HOLDS_NULL,
     STAYS_OFF,
     Remainder,
     Rules,
@@ -186,7 +187,12 @@ def test_a_rival_that_something_speaks_against_leaves_the_set():
     off = left(table_tilt=STAYS_OFF, loose_mass=STAYS_OFF)
     assert (off.verdict, off.depends_on is None) == ("unknown", False)
     behind = left(table_tilt=FAR_BEHIND, loose_mass=FAR_BEHIND)
-    assert behind.verdict == "unknown" and "would explain much, but with it, the" in behind.sentence
+    assert behind.verdict == "unknown" and "would explain much, but with either, the" in behind.sentence
+    differ = left(table_tilt=FAR_BEHIND, loose_mass=f"its 90 % {HOLDS_NULL}")
+    assert "but with table_tilt, the locked pushes" in differ.sentence
+    assert "or loose_mass's 90 % interval is consistent" in differ.sentence
+    held = left(table_tilt=f"its 90 % {HOLDS_NULL}", loose_mass=f"its 90 % {HOLDS_NULL}")
+    assert "but the 90 % interval of either is consistent" in held.sentence
 
 
 @pytest.mark.parametrize(

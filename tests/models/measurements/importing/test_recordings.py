@@ -1,5 +1,6 @@
 """Which files belong together, what is cut, and what a guess says."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from tables import POSE, SETUP, TIME, TIP, written
 
 from slipmap.models.measurements import DatasetError, read_dataset
 from slipmap.models.measurements.importing import clocks, guess_setup, import_dataset
+from slipmap.models.measurements.importing.import_setup import UNITS
 
 ROOT = Path(__file__).resolve().parents[4]
 SAYS = """
@@ -162,6 +164,35 @@ def test_a_guess_says_that_commas_may_mean_either(tmp_path):
     (tmp_path / "p.csv").write_text("t\tx\ty\tyaw\n1\t1,500\t2,500\t0\n")
     with pytest.raises(DatasetError, match=r"'1,500' may be 1\.5 or 1500"):
         guess_setup(tmp_path / "p.csv")
+
+
+def test_columns_in_an_unknown_unit_are_named_with_the_known_ones(tmp_path):
+    names = ["t", "block X (mm)", "block Y (mm)", "block_yaw", "probe X (in)", "probe Y (in)"]
+    names += ["Fx (gf)", "Fy (gf)"]
+    columns = [TIME, 1e3 * POSE[:, :2], POSE[:, 2], TIP / 0.0254, np.ones((len(TIME), 2))]
+    text = guess_setup(written(tmp_path / "p.csv", names, columns))
+    for channel, column, known in (
+        ("tip_pose", "probe X (in)", "m, cm, mm, um"),
+        ("ft_wrench", "Fx (gf)", "N, mN, kN"),
+    ):
+        told = f'the unit of "{column}" is unknown, so convert it; known units are {known}'
+        assert f"{channel}: null  # {told}\n" in text
+    assert yaml.safe_load(text)["object_pose"]["unit"] == {"position": "mm"}
+    # Micrometres are known, too.
+    names[4:6] = "probe X (um)", "probe Y (um)"
+    columns[3] = 1e6 * TIP
+    said = yaml.safe_load(guess_setup(written(tmp_path / "p.csv", names, columns)))
+    assert said["tip_pose"]["unit"] == {"position": "um"}
+    names[1:3] = "block X (in)", "block Y (in)"
+    with pytest.raises(DatasetError, match=r"the unit of .block X \(in\). is unknown, so convert it"):
+        guess_setup(written(tmp_path / "p.csv", names, columns))
+
+
+def test_the_page_lists_all_units():
+    page = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+    (row,) = re.findall(r"\| `unit` \| .*", page)
+    for kind, units in UNITS.items():
+        assert f"{kind} {', '.join(units)}" in row
 
 
 def test_nothing_to_guess(tmp_path):
