@@ -1,8 +1,8 @@
-"""Imported before numpy, this lets BLAS round alike on all processors of a kind.
+"""Imported before numpy and numba, this lets x86 processors since Haswell round numbers alike.
 
-BLAS has kernels of its own for each processor. A search of many steps then ends elsewhere within the noise,
-and recorded outputs differ in their second digit. The kernels for Haswell run on all x86 processors of the
-last ten years.
+BLAS and NumPy have code of their own for each processor, and Numba compiles for the one at hand. Sums are
+rounded in another order there: a search of many steps ends elsewhere within the noise, and recorded outputs
+differ in their second digit.
 """
 
 import os
@@ -11,3 +11,10 @@ import platform
 if platform.machine().lower() in ("x86_64", "amd64"):
     os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
     os.environ.setdefault("OPENBLAS_L2_SIZE", "512")
+    os.environ.setdefault("NUMBA_CPU_NAME", "haswell")
+    os.environ.setdefault("NUMBA_CPU_FEATURES", "+avx2,+bmi,+bmi2,+f16c,+fma,+lzcnt,+movbe,+popcnt,+sse4.2")
+    # By the names of several versions; those that a version or a processor does not have are ignored.
+    os.environ.setdefault(
+        "NPY_DISABLE_CPU_FEATURES",
+        "X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR",
+    )
