@@ -532,14 +532,19 @@ class _Inquiry:
         return not any(holds_null(effect, told[effect.name]) for effect in shared)
 
     def _estimates(self, one: JudgedFit) -> tuple[ParameterEstimate, ...]:
-        """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors."""
+        """Shared parameters with 90 % intervals, widened where the datasets disagree beyond their errors.
+
+        Around values that the prior pulled far, the joint fit seems to know a parameter better than its
+        datasets do: its precision is at most that of the prior and of each dataset alone together.
+        """
         values, deviations = one.fit.values(0), one.fit.deviations(0)
         shared = self._shared(one.fit.effects)
         apart = [self._alone(one.fit, k) for k in range(len(self.asked))]
         amplitudes = np.concatenate([effect.amplitudes for effect in one.fit.effects])
         for i in np.flatnonzero(amplitudes):
-            scatter = between(np.array([v[i] for v, _ in apart]), np.array([s[i] for _, s in apart]))
-            deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(apart))
+            own, widths = (np.array([each[part][i] for each in apart]) for part in (0, 1))
+            known = (widths**-2.0).sum() + one.fit.scales[i] ** -2
+            deviations[i] = np.sqrt(max(deviations[i] ** 2, 1.0 / known) + between(own, widths) / len(apart))
         every = _intervals(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
 
