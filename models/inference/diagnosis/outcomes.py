@@ -16,12 +16,7 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.fitting import MOTION_ERRORS, Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.diagnosis.verdict_rules import (
-    AT_NOISE,
-    FAR_BEHIND,
-    STAYS_OFF,
-    typical_misfit,
-)
+from slipmap.models.inference.diagnosis.verdict_rules import AT_NOISE, Objection, typical_misfit
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.results import Identification, Quantity
@@ -113,7 +108,7 @@ def too_faint(base: Fitted) -> Outcome:
 
 
 def without_those_objected_to(
-    answer: Outcome, objections: Mapping[str, str], base: Fitted, screening: Screening
+    answer: Outcome, objections: Mapping[str, Objection], base: Fitted, screening: Screening
 ) -> Outcome:
     """Drop from an answer the rivals that are objected to.
 
@@ -126,44 +121,35 @@ def without_those_objected_to(
     kept = [rival for rival in answer.rivals if name_of(rival) not in objections]
     if len(kept) == len(answer.rivals):
         return answer
+    told = {name: one.clause() for name, one in objections.items()}
     if kept:
         whole = one_of(kept) if len(kept[0].effects) == 1 else two_at_once(kept)
-        return replace(whole, objections=objections)
-    names = list(objections)
-    clauses = set(objections.values())
+        return replace(whole, objections=told)
+    reasons = {one.reason for one in objections.values()}
     sentence = (
-        f"On the open pushes, {' or '.join(names)} would explain"
-        f" {'something' if STAYS_OFF in clauses else 'much'}, but {_objected(objections)}"
+        f"On the open pushes, {' or '.join(objections)} would explain"
+        f" {'something' if 'stays off' in reasons else 'much'}, but {_objected(objections)}"
     )
-    if STAYS_OFF in clauses or FAR_BEHIND in clauses:
+    if any(one.leaves_much for one in objections.values()):
         found = unknown(base, screening)
         return replace(
-            found,
-            sentence=f"{sentence}, so something else is missing. {found.sentence}",
-            objections=objections,
+            found, sentence=f"{sentence}, so something else is missing. {found.sentence}", objections=told
         )
     return Outcome(
         "undecided",
         f"{sentence}. There are too few pushes, or they scatter too much, to decide.",
         base,
-        objections=objections,
+        objections=told,
     )
 
 
-def _objected(objections: Mapping[str, str]) -> str:
-    """Objections to effects that were just named, as clauses that say which effect each is about."""
-    clauses = set(objections.values())
-    if len(objections) == 1:
-        return clauses.pop()
-    if len(clauses) > 1:
-        said = (
-            clause.replace("with it", f"with {name}").replace("its 90 %", f"{name}'s 90 %")
-            for name, clause in objections.items()
-        )
-        return " or ".join(dict.fromkeys(said))
-    either = "either" if len(objections) == 2 else "any of them"
-    clause = clauses.pop().replace("with it", f"with {either}")
-    return clause.replace("its 90 % interval", f"the 90 % interval of {either}")
+def _objected(objections: Mapping[str, Objection]) -> str:
+    """Objections to answers that were just named, as clauses that say which answer each is about."""
+    different = set(objections.values())
+    if len(different) > 1:
+        return " or ".join(dict.fromkeys(one.clause(name) for name, one in objections.items()))
+    every = {1: None, 2: "either"}.get(len(objections), "any of them")
+    return different.pop().clause(every)
 
 
 def far_off(base: Fitted, misfit: float, most: tuple[str, float] | None = None) -> Outcome:

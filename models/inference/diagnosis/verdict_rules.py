@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -283,14 +284,39 @@ def with_better_predictors(
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]
 
 
+@dataclass(frozen=True)
+class Objection:
+    """What speaks against an answer that the open pushes gave."""
+
+    reason: Literal["holds null", "not better", "stays off", "far behind"]
+    effect: str | None = None  # whose interval includes its null, where the answer has several effects
+
+    @property
+    def leaves_much(self) -> bool:
+        """Whether something else must be missing."""
+        return self.reason in ("stays off", "far behind")
+
+    def clause(self, answer: str | None = None) -> str:
+        """In words, about "it" or an answer that is named."""
+        held = self.effect or answer
+        interval = "its 90 % interval" if held is None else f"the 90 % interval of {held}"
+        name = answer or "it"
+        return {
+            "holds null": f"{interval} is consistent with no effect at all",
+            "not better": f"the locked pushes are not clearly predicted better with {name}",
+            "stays off": f"the locked pushes are predicted as badly with {name} as without",
+            "far behind": f"with {name}, the locked pushes are missed by far more than the open ones",
+        }[self.reason]
+
+
 def objection(
     effects: Sequence[Effect],
     learned: Identification,
     rough: bool,
     before: LockedErrors | None,
     after: LockedErrors | None,
-) -> str | None:
-    """The objection to an answer that the open pushes gave, as a clause; None where there is none.
+) -> Objection | None:
+    """The objection to an answer that the open pushes gave; None where there is none.
 
     Args:
         effects: of the answer.
@@ -301,14 +327,13 @@ def objection(
     """
     for effect in effects:
         if holds_null(effect, learned.effect_estimates[effect.name]):
-            whose = "its" if len(effects) == 1 else f"{effect.name}'s"
-            return f"{whose} 90 % {HOLDS_NULL}"
+            return Objection("holds null", effect.name if len(effects) > 1 else None)
     if locked_pushes_object(rough, before, after):
-        return NOT_BETTER
+        return Objection("not better")
     if locked_pushes_stay_off(before, after):
-        return STAYS_OFF
+        return Objection("stays off")
     if after is not None and _far_behind(learned, after):
-        return FAR_BEHIND
+        return Objection("far behind")
     return None
 
 
@@ -316,7 +341,7 @@ def objections(
     rivals: Mapping[str, tuple[Sequence[Effect], Identification, LockedErrors | None]],
     rough: bool,
     before: LockedErrors | None,
-) -> dict[str, str]:
+) -> dict[str, Objection]:
     """Objections to rival answers, by name.
 
     Rough pushes do not object to one that predicts them better than no effect, and nearly as well as a rival
@@ -329,9 +354,9 @@ def objections(
         rough, before: as in `objection`.
     """
     found = {
-        name: text
+        name: against
         for name, (effects, learned, after) in rivals.items()
-        if (text := objection(effects, learned, rough, before, after))
+        if (against := objection(effects, learned, rough, before, after))
     }
     supported = [after for name, (*_, after) in rivals.items() if name not in found and after is not None]
 
@@ -342,23 +367,10 @@ def objections(
             or locked_pushes_stay_off(before, after)
         ) and any(Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported)
 
-    def weak(name: str, text: str) -> bool:
-        return text == NOT_BETTER or (text.endswith(HOLDS_NULL) and len(rivals[name][0]) == 1)
+    def weak(against: Objection) -> bool:
+        return against.reason == "not better" or (against.reason == "holds null" and against.effect is None)
 
-    return {name: text for name, text in found.items() if not (weak(name, text) and as_well(rivals[name][2]))}
-
-
-HOLDS_NULL = "interval is consistent with no effect at all"
-"""The objection of `holds_null`, after whose and which."""
-
-NOT_BETTER = "the locked pushes are not clearly predicted better with it"
-"""The objection of `locked_pushes_object`."""
-
-STAYS_OFF = "the locked pushes are predicted as badly with it as without"
-"""The objection of `locked_pushes_stay_off`."""
-
-FAR_BEHIND = "with it, the locked pushes are missed by far more than the open ones"
-"""The objection of `_far_behind`."""
+    return {name: one for name, one in found.items() if not (weak(one) and as_well(rivals[name][2]))}
 
 
 def locked_pushes_object(rough: bool, before: LockedErrors | None, after: LockedErrors | None) -> bool:

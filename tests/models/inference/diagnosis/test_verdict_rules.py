@@ -11,9 +11,7 @@ from slipmap.models.inference.diagnosis import outcomes, procedure as steps
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import (
-    FAR_BEHIND,
-    HOLDS_NULL,
-    STAYS_OFF,
+    Objection,
     Remainder,
     Rules,
     far_above_noise,
@@ -115,7 +113,7 @@ def test_an_answer_that_only_describes_the_open_pushes_is_not_named(after, objec
     """It misses the typical open push by once the noise."""
     own = learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01))
     said = objection((TILT,), own, False, errors(20.0, 20.0), errors(*after))
-    assert (said == FAR_BEHIND) is objects
+    assert (said == Objection("far behind")) is objects
     # Locked pushes that are no further off than the open ones do not speak against it.
     for push in own.pushes:
         push.errors.misfit *= 4.0
@@ -179,19 +177,23 @@ def test_a_rival_that_something_speaks_against_leaves_the_set():
         return outcomes.without_those_objected_to(both, objections, None, screening)
 
     assert left() is both
-    one = left(table_tilt="no")
-    assert (one.verdict, one.effects, one.objections) == ("effect", ("loose_mass",), {"table_tilt": "no"})
-    none = left(table_tilt="no", loose_mass="its interval")
+    weak, null = Objection("not better"), Objection("holds null")
+    off, behind = Objection("stays off"), Objection("far behind")
+    one = left(table_tilt=weak)
+    assert (one.verdict, one.effects) == ("effect", ("loose_mass",))
+    assert one.objections == {"table_tilt": "the locked pushes are not clearly predicted better with it"}
+    none = left(table_tilt=weak, loose_mass=null)
     assert (none.verdict, none.effects, none.rivals) == ("undecided", (), ())
-    assert "table_tilt or loose_mass" in none.sentence and "no or its interval" in none.sentence
-    off = left(table_tilt=STAYS_OFF, loose_mass=STAYS_OFF)
-    assert (off.verdict, off.depends_on is None) == ("unknown", False)
-    behind = left(table_tilt=FAR_BEHIND, loose_mass=FAR_BEHIND)
-    assert behind.verdict == "unknown" and "would explain much, but with either, the" in behind.sentence
-    differ = left(table_tilt=FAR_BEHIND, loose_mass=f"its 90 % {HOLDS_NULL}")
-    assert "but with table_tilt, the locked pushes" in differ.sentence
-    assert "or loose_mass's 90 % interval is consistent" in differ.sentence
-    held = left(table_tilt=f"its 90 % {HOLDS_NULL}", loose_mass=f"its 90 % {HOLDS_NULL}")
+    assert "table_tilt or loose_mass" in none.sentence
+    assert "better with table_tilt or the 90 % interval of loose_mass is consistent" in none.sentence
+    far = left(table_tilt=off, loose_mass=off)
+    assert (far.verdict, far.depends_on is None) == ("unknown", False)
+    assert "would explain something, but" in far.sentence and "with either as without" in far.sentence
+    described = left(table_tilt=behind, loose_mass=behind)
+    assert described.verdict == "unknown"
+    assert "would explain much, but with either, the" in described.sentence
+    assert "but with table_tilt, the locked pushes" in left(table_tilt=behind, loose_mass=null).sentence
+    held = left(table_tilt=null, loose_mass=null)
     assert "but the 90 % interval of either is consistent" in held.sentence
 
 
