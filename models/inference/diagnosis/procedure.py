@@ -20,7 +20,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
@@ -67,6 +67,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     REST_GAIN,
     ROUGH,
     UNKNOWN_GAIN,
+    Objection,
     Remainder,
     Rules,
     far_above_noise,
@@ -162,14 +163,20 @@ def diagnose(
         smallest locked errors, with any of the rivals or of the baseline.
 
         It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
+        If only pairs are contradicted, some by an effect that may be zero, the other ones are judged alone.
         """
-        found = side_by_side(learned_with(answer.rivals, about("with effects", report)))
+        learned = side_by_side(learned_with(answer.rivals, about("with effects", report)))
         with_each = {
             outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
-            for rival, own in zip(answer.rivals, found, strict=True)
+            for rival, own in zip(answer.rivals, learned, strict=True)
         }
         against = objections(with_each, rough, baseline)
         kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
+        needed = [] if kept.rivals else inquiry.without_needless(answer.rivals, against)
+        if needed:
+            found, with_needed, least = judged(outcomes.one_of(needed), baseline, rough)
+            if found.rivals:
+                return replace(found, objections={**kept.objections, **found.objections}), with_needed, least
         every = [one for one in (baseline, *(errors for *_, errors in with_each.values())) if one is not None]
         least = min(every, key=lambda one: typical_misfit(one.misfit), default=None)
         return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals], least
@@ -457,6 +464,16 @@ class Inquiry:
             return None
         nearer = [pair for pair in self._pairs(much) if self._nearer(pair)]
         return outcomes.two_at_once(nearer) if nearer else None
+
+    def without_needless(self, rivals: Sequence[Fitted], against: Mapping[str, Objection]) -> list[Fitted]:
+        """Single effects, best first: what is left of pairs in which one interval includes its null."""
+        needed: dict[str, Fitted] = {}
+        for pair in rivals:
+            needless = against[outcomes.name_of(pair)].effect if outcomes.name_of(pair) in against else None
+            for effect in pair.effects if needless is not None else ():
+                if effect.name != needless and effect.name in self.refits.fits:
+                    needed[effect.name] = self.refits.fits[effect.name]
+        return sorted(needed.values(), key=lambda fitted: fitted.cost)
 
     def _leaves_much(self, name: str) -> bool:
         """Whether much gains on top of a candidate, or something where pushes are missed by far."""

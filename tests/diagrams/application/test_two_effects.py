@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from hidden_effects import DRAG, LATENCY, TILT, late_and_oily_pushes, tilted_and_oily_pushes
+from hidden_effects import DRAG, LATENCY, TILT, late_and_oily_pushes, tilted_and_oily_pushes, tilted_pushes
 
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import procedure as steps
+from slipmap.models.inference.diagnosis.outcomes import two_at_once
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import Diagnosis
 
@@ -63,3 +66,28 @@ def test_a_second_effect_is_named_beside_one_that_explains_nearly_all(monkeypatc
     (loosely, without), (clearly, with_lag) = asked
     assert (loosely, clearly) == (False, True)
     assert with_lag.total_misfit < 0.6 * without.total_misfit
+
+
+def test_of_two_effects_one_that_may_be_zero_is_dropped(monkeypatch):
+    """The other one is named alone, since the locked pushes support it."""
+    (friction,) = effects_named(["viscous_friction"])
+    run = steps.Inquiry.run
+
+    def find_both(inquiry):
+        run(inquiry)
+        tilt = inquiry.refits.fits["table_tilt"]
+        values = [*tilt.values, *friction.start_values(inquiry.scene)[0]]
+        inquiry.accepted = []
+        both = (*tilt.effects, friction)
+        error = tilt.likelihood.error
+        return two_at_once([inquiry.fitter.with_effects(both, error, tilt, np.array(values), afresh=True)])
+
+    monkeypatch.setattr(steps.Inquiry, "run", find_both)
+    found = diagnose(tilted_pushes(), draws=99)
+    assert (found.verdict, found.effects, found.together) == ("effect", ("table_tilt",), False)
+    assert found.objections == {
+        "table_tilt and viscous_friction": "the 90 % interval of viscous_friction is consistent"
+        " with no effect at all"
+    }
+    assert [candidate.name for candidate in found.candidates if candidate.in_set] == ["table_tilt"]
+    assert found.after.total_misfit < 0.6 * found.before.total_misfit
