@@ -253,19 +253,15 @@ def load_together(
 
     Raises:
         BadInput: such an option was given.
-        DatasetError: a dataset cannot be used, or two share a push, which would count twice.
+        DatasetError: a dataset cannot be used.
     """
-    from slipmap.models.measurements.push_dataset import check_distinct
-
     for option in (*one_only, "--maps"):
         if asked_for("belief_file" if option == "--belief" else option.strip("-")):
             raise BadInput(
                 f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
                 " each dataset.yaml)"
             )
-    datasets = [load_dataset(path, object_name, progress, named=True) for path in paths]
-    check_distinct(datasets)
-    return datasets
+    return [load_dataset(path, object_name, progress, named=True) for path in paths]
 
 
 def refuse_apart(apart: Sequence[str]) -> None:

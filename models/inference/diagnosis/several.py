@@ -58,7 +58,7 @@ from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
 from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
-from slipmap.models.measurements.push_dataset import check_datasets_given
+from slipmap.models.measurements.push_dataset import check_datasets_given, check_distinct
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
@@ -109,9 +109,10 @@ def diagnose_together(
         progress: called with (stage, done, total).
 
     Raises:
-        DatasetError: fewer than two datasets, two with the same name, or one without a push left to fit.
+        DatasetError: fewer than two datasets, two with the same name or the same push, or one without a push
+            left to fit.
         RolloutError: a model cannot be computed.
-        ValueError: an unknown owner in `apart`, or a negative number of draws.
+        ValueError: an unknown owner in `apart`; draws or a seed that are no whole number.
 
     Example:
         >>> import dataclasses
@@ -124,8 +125,7 @@ def diagnose_together(
         ()
     """
     check_together(datasets, apart)
-    if draws < 0:
-        raise ValueError(f"draws must not be negative, got {draws}")
+    check_whole("draws", draws, 0)
     check_whole("seed", seed, 0)
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, candidates_given(effects), frozenset(apart), seed, progress or silent)
@@ -183,7 +183,7 @@ def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> N
     """Refuse datasets that cannot be taken together, and unknown owners of effects.
 
     Raises:
-        DatasetError: fewer than two datasets, or two with the same name.
+        DatasetError: fewer than two datasets, or two with the same name or the same push.
         TypeError: something other than datasets.
         ValueError: an unknown owner.
     """
@@ -196,6 +196,7 @@ def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> N
         raise DatasetError(
             f"a joint model needs two or more datasets with different names, got {', '.join(names) or 'none'}"
         )
+    check_distinct(datasets)
 
 
 def named_by_evidence(

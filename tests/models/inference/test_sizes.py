@@ -135,6 +135,6 @@ def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # t
     unsure = telling_push.diagnose(fine.with_fit_pushes(3), quick=True)
     assert unsure.verdict == "undecided" and unsure.next_push is not None
     assert telling_push.rivals_of(unsure, fine)
-    again = replace(fine.with_fit_pushes(5), name="again")
-    together = fit_together([fine.with_fit_pushes(5), again], ["table_tilt"], hypotheses=2)
+    halves = [replace(fine, trials=fine.trials[k::2], name=str(k)) for k in range(2)]
+    together = fit_together(halves, ["table_tilt"], hypotheses=2)
     assert [len(one.belief.grid) for one in together.learned] == [len(fine.grid)] * 2

@@ -1,6 +1,7 @@
 """What several datasets miss together."""
 
 import dataclasses
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,7 @@ EFFECTS = (SensorLatency(), AnisotropicTable(), TrackerScale())
 
 
 def late(dataset, latency, name):
-    """The same pushes, reported late by a tracker."""
+    """The same pushes, reported late by a tracker; a microsecond more makes others of them."""
     trials = tuple(
         dataclasses.replace(
             t, object_pose=dataclasses.replace(t.object_pose, time=t.object_pose.time + latency)
@@ -35,7 +36,7 @@ def late(dataset, latency, name):
 def pair(recorded):
     copied = "trials/001.json: holds the same as trials/002.json; is one a copy?"
     short = dataclasses.replace(recorded.dataset, trials=recorded.dataset.trials[2:], warnings=(copied,))
-    return [late(recorded.dataset, 0.03, "first"), late(short, 0.03, "second")]
+    return [late(recorded.dataset, 0.03, "first"), late(short, 0.030001, "second")]
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_what_datasets_do_not_share_is_not_told_by_others(pair, monkeypatch):
 
 
 def test_a_whole_locked_object_takes_what_all_others_tell(pair, monkeypatch):
-    four = [dataclasses.replace(pair[0].with_fit_pushes(3), name=str(k)) for k in range(4)]
+    four = [late(pair[0].with_fit_pushes(3), 1e-6 * k, str(k)) for k in range(4)]
     fitted, asked = given(monkeypatch, four)
     (whole,) = (k for k, one in enumerate(fitted.datasets) if one.whole)
     others = [start.scales[0] for k, start in enumerate(asked) if k != whole]
@@ -111,7 +112,7 @@ def test_a_whole_locked_object_takes_what_all_others_tell(pair, monkeypatch):
 
 
 def test_an_effect_that_is_not_there_is_not_supported(recorded, monkeypatch):
-    plain = [dataclasses.replace(recorded.dataset, name=name) for name in ("first", "second")]
+    plain = [late(recorded.dataset, 1e-6 * k, str(k)) for k in range(2)]
     fitted, _ = given(monkeypatch, plain)
     assert fitted.verdict == "undecided" and "hardly better" in fitted.sentence
     with pytest.raises(ValueError, match="at least one effect"):
@@ -267,7 +268,7 @@ def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):
 def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_locked(recorded):
     few = recorded.dataset.with_fit_pushes(4)
     found = diagnose_together(
-        [dataclasses.replace(few, name=str(k)) for k in range(4)], effects=EFFECTS[:2], apart=["table"]
+        [late(few, 1e-6 * k, str(k)) for k in range(4)], effects=EFFECTS[:2], apart=["table"]
     )
     assert found.verdict == "adequate" and found.effects == () and found.parameters == ()
     assert found.doubts == {}
@@ -295,11 +296,9 @@ def test_a_second_effect_that_cannot_be_judged_leaves_the_first(recorded, monkey
 
 
 def test_an_answer_that_no_push_judges_says_so(recorded):
-    short = [recorded.dataset.with_fit_pushes(2), recorded.dataset.with_fit_pushes(2)]
-    pair = [
-        late(dataclasses.replace(one, trials=one.fit_trials), 0.05, name)
-        for one, name in zip(short, ("first", "second"), strict=True)
-    ]
+    short = recorded.dataset.with_fit_pushes(2)
+    short = dataclasses.replace(short, trials=short.fit_trials)
+    pair = [late(short, 0.05, "first"), late(short, 0.050001, "second")]
     found = diagnose_together(pair, effects=EFFECTS[:1], draws=0)
     assert found.p_value is None and found.effects == ()
     assert all(one.locked == () for one in found.datasets)
@@ -330,10 +329,18 @@ def test_what_is_in_no_answer_gets_bounds_unless_they_cannot_be_computed(pair, m
     assert bounds == {"sensor_latency": [], "tracker_scale": [], "anisotropic_table": beside}
 
 
-def test_a_negative_number_of_draws_is_refused(recorded):
-    pair = [dataclasses.replace(recorded.dataset, name=name) for name in ("first", "second")]
-    with pytest.raises(ValueError, match="must not be negative"):
-        diagnose_together(pair, draws=-1)
+def test_draws_that_are_no_number_of_draws_are_refused(recorded):
+    pair = [late(recorded.dataset, 1e-6 * k, str(k)) for k in range(2)]
+    for draws in (-1, 1.5):
+        with pytest.raises(ValueError, match="draws must be a whole number of at least 0"):
+            diagnose_together(pair, draws=draws)
+
+
+def test_pushes_that_two_datasets_contain_are_refused(recorded):
+    again = dataclasses.replace(recorded.dataset, name="again")
+    for ask in (diagnose_together, partial(fit_together, effects=EFFECTS)):
+        with pytest.raises(DatasetError, match="simulated and again contain the same push"):
+            ask([recorded.dataset, again])
 
 
 def test_an_unknown_owner_is_refused(recorded):
@@ -361,7 +368,7 @@ def test_nothing_is_named_behind_an_effect_that_fails_in_one_dataset_but_explain
     monkeypatch.setattr(several._Inquiry, "_judge", judge)
     monkeypatch.setattr(several._Inquiry, "_there", lambda self, one: True)
     monkeypatch.setattr(several, "EVIDENCE", -np.inf)
-    pair = [late(recorded.dataset, 0.03, "first"), late(recorded.dataset, 0.03, "second")]
+    pair = [late(recorded.dataset, 0.03, "first"), late(recorded.dataset, 0.030001, "second")]
 
     undecided = diagnose_together(pair, effects=[SensorLatency(), TrackerScale()])
     assert undecided.verdict == "undecided" and undecided.effects == ()
