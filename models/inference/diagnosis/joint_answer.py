@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -39,6 +40,12 @@ def objection_to(one: JudgedFit) -> str:
         return f"the locked pushes of no single dataset are clearly predicted better with {one.pronoun}"
     own = "its 90 % interval" if len(one.fit.effects) == 1 else "the 90 % interval of one of them"
     return f"{own} includes the value without the effect"
+
+
+def contradiction(faults: Mapping[str, str]) -> str:
+    """What is wrong in the records, in sentences; `faults` as for `joint_answer`."""
+    told = " ".join(f"{name}: {fault}" for name, fault in faults.items())
+    return f"The records of {', '.join(faults)} contradict themselves, so no effect can be identified. {told}"
 
 
 def where_it_shows(one: JudgedFit) -> str:
@@ -99,11 +106,7 @@ def joint_answer(
         faults: in the records, as clauses, by the name of the dataset.
     """
     if faults:
-        told = " ".join(f"{name}: {fault}" for name, fault in faults.items())
-        contradict = (
-            f"The records of {', '.join(faults)} contradict themselves, so no effect can be identified."
-        )
-        return JointAnswer("undecided", f"{contradict} {told}")
+        return JointAnswer("undecided", contradiction(faults))
     names = tuple(effect.name for one in kept for effect in one.fit.effects)
     if len(kept) == 1:
         lacks = "one effect" if len(names) == 1 else "two effects at once"
@@ -136,3 +139,29 @@ def joint_answer(
         )
         return JointAnswer("undecided", sentence)
     return JointAnswer("adequate", "The model explains the data; no effect is missing.")
+
+
+def answer_about(
+    judged: JudgedFit, explains: bool, is_there: bool, faults: Mapping[str, str]
+) -> tuple[Literal["for", "against", "undecided"], str]:
+    """What several datasets say about given effects, and that in words.
+
+    Args:
+        judged: the model with the effects.
+        explains: whether the open pushes are explained clearly better than by the freedom of the parameters.
+        is_there: whether the intervals exclude the values without the effects.
+        faults: as for `joint_answer`.
+    """
+    are, their = ("is", "its") if len(judged.fit.effects) == 1 else ("are", "their")
+    unclear = f"The datasets do not show whether {judged.name} {are} present"
+    if faults:
+        return "undecided", f"{unclear}. {contradiction(faults)}"
+    if judged.fall < -CLEARLY:
+        worse = f"the locked pushes are predicted worse with {judged.pronoun}"
+        return "against", f"THE DATASETS SPEAK AGAINST {judged.name}: {worse}."
+    if not explains:
+        freely = f"the open pushes are explained hardly better than {their} parameters would explain anyway"
+        return "undecided", f"{unclear}: {freely}."
+    if judged.is_supported and is_there:
+        return "for", f"The datasets support {judged.name}.{where_it_shows(judged)}"
+    return "undecided", f"{unclear}: {objection_to(judged)}."

@@ -35,7 +35,11 @@ from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
 from slipmap.models.inference.alone import alone
-from slipmap.models.inference.diagnosis.joint_answer import joint_answer, objection_to, where_it_shows
+from slipmap.models.inference.diagnosis.joint_answer import (
+    answer_about,
+    joint_answer,
+    objection_to,
+)
 from slipmap.models.inference.diagnosis.locked import (
     CLEARLY,
     Ground,
@@ -416,21 +420,7 @@ class _Inquiry:
             raise DatasetError(
                 f"the model with {names} cannot be fitted to these datasets: {error}"
             ) from error
-        are, of = ("is", "its") if len(self.effects) == 1 else ("are", "their")
-        verdict, objection = "undecided", f": {objection_to(judged)}"
-        if evidence <= EVIDENCE:
-            objection = (
-                f": the open pushes are explained hardly better than {of} parameters would explain anyway"
-            )
-        elif judged.is_supported and self._there(judged):
-            verdict = "for"
-        if judged.fall < -CLEARLY:
-            verdict, objection = "against", f": the locked pushes are predicted worse with {judged.pronoun}"
-        said = {
-            "for": f"The datasets support {names}.{where_it_shows(judged)}",
-            "against": f"THE DATASETS SPEAK AGAINST {names}{objection}.",
-            "undecided": f"The datasets do not show whether {names} {are} present{objection}.",
-        }
+        verdict, sentence = answer_about(judged, evidence > EVIDENCE, self._there(judged), self.faults)
         learned = []
         for k, ground in enumerate(self.grounds):
             values, scales = self._told_by_others(judged.fit, k)
@@ -442,7 +432,7 @@ class _Inquiry:
                 learn(dataset, everything, found, hypotheses=hypotheses, seed=self.seed, report=own)
             )
         return JointIdentification(
-            verdict, said[verdict], tuple(effect.name for effect in self.effects), self._estimates(judged),
+            verdict, sentence, tuple(effect.name for effect in self.effects), self._estimates(judged),
             evidence, judged.fall, self._by_dataset(judged), tuple(learned), 0.0, self.seed,
         )  # fmt: skip
 

@@ -17,7 +17,7 @@ from slipmap.models.inference.diagnosis.outcomes import (
     wrong_sizes,
 )
 from slipmap.models.inference.diagnosis.procedure import diagnose
-from slipmap.models.inference.diagnosis.several import diagnose_together
+from slipmap.models.inference.diagnosis.several import diagnose_together, fit_together
 from slipmap.models.inference.identifiability import coarse_cells
 from slipmap.models.measurements import Channel, PushDataset
 from slipmap.models.measurements.simulated import record_pushes
@@ -96,6 +96,9 @@ def test_no_effect_is_named_where_the_records_of_one_dataset_contradict_themselv
     assert found.sentence.startswith(said) and found.sentence.endswith("is theta's sign right?")
     assert [one.objection for one in found.candidates] == ["the records contradict themselves"]
     assert "check` finds wrong with reversed (contact)" in found.next_step()
+    fitted = fit_together([pushes, reversed_theta(pushes)], ["finger_compliance"], hypotheses=2)
+    unclear = "The datasets do not show whether finger_compliance is present"
+    assert (fitted.verdict, fitted.sentence) == ("undecided", f"{unclear}. {found.sentence}")
 
 
 def test_what_check_finds_wrong_comes_first(pushes):
