@@ -404,6 +404,19 @@ def show_joint_fit(found: JointIdentification, datasets: Sequence[PushDataset]) 
         paragraph(text)
     click.echo()
     table(JOINT_ERRORS, JOINT_DATASETS, joint_rows(found.datasets), numbers=(1, 2, 3, 4, 5))
+    if text := errors_of_beliefs(found):
+        paragraph(text)
+
+
+def errors_of_beliefs(found: JointIdentification) -> str:
+    """Errors of held-out pushes as predicted with the beliefs, in words; empty where none were held out."""
+    errors = [f"{millimetres(error)} mm in {name}" for name, error in found.held_out_errors().items()]
+    if not errors:
+        return ""
+    return (
+        "The table judges single best maps. Predicted with the beliefs, held-out pushes end"
+        f" {_listed(errors)} off on average."
+    )
 
 
 _TURNS = (

@@ -407,6 +407,11 @@ class JointIdentification:
     seconds: float
     seed: int
 
+    def held_out_errors(self) -> dict[str, float]:
+        """Mean error (ADD) at the end, m, of each dataset's held-out pushes as its belief predicts them."""
+        errors = {one.belief.dataset: one.errors("heldout") for one in self.learned}
+        return {name: float(own.mean()) for name, own in errors.items() if len(own)}
+
     def to_json(self) -> dict[str, Any]:
         """The machine-readable result."""
         return {
@@ -417,6 +422,7 @@ class JointIdentification:
             "evidence": self.evidence,
             "fall": self.fall,
             "datasets": [one.to_json() for one in self.datasets],
+            "held_out_errors": self.held_out_errors(),
             "seconds": self.seconds,
             "seed": self.seed,
         }

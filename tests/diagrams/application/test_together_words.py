@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shlex
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,12 @@ from slipmap.diagrams.application.command_line import slipmap
 from slipmap.diagrams.application.commands.options import datasets_typed, load_dataset
 from slipmap.diagrams.application.reports.comparison_words import joint_findings
 from slipmap.diagrams.application.reports.diagnosis_report import joint_report
-from slipmap.diagrams.application.reports.diagnosis_words import joint_ranking, show_together, where_it_falls
+from slipmap.diagrams.application.reports.diagnosis_words import (
+    errors_of_beliefs,
+    joint_ranking,
+    show_together,
+    where_it_falls,
+)
 from slipmap.diagrams.application.reports.tables import joint_rows
 from slipmap.diagrams.application.terminal import Progress
 from slipmap.models.effects.library import LIBRARY
@@ -225,6 +231,17 @@ def test_an_answer_that_leaves_locked_pushes_far_off_says_so():
         for d in found.datasets
     )
     assert "Even with" not in where_it_falls(dataclasses.replace(found, datasets=near))
+
+
+def test_a_joint_fit_tells_the_errors_of_its_beliefs_too():
+    learned = tuple(
+        SimpleNamespace(belief=SimpleNamespace(dataset=name), errors=lambda role, own=own: np.array(own))
+        for name, own in (("A", [1e-3, 3e-3]), ("B", []), ("C", [4e-3]))
+    )
+    found = JointIdentification("for", "Yes.", ("tether",), (), 9.0, 9.0, (), learned, 1.0, 0)
+    assert found.to_json()["held_out_errors"] == pytest.approx({"A": 2e-3, "C": 4e-3})
+    assert "held-out pushes end 2.0 mm in A and 4.0 mm in C off on average." in errors_of_beliefs(found)
+    assert errors_of_beliefs(dataclasses.replace(found, learned=())) == ""
 
 
 def test_a_turned_tracker_is_also_told_where_the_pushes_are():

@@ -77,7 +77,9 @@ def test_a_fit_gives_the_numbers_of_the_diagnosis_and_a_belief_of_each_object(pa
     for learned, dataset in zip(fitted.learned, pair, strict=True):
         lag = learned.effect_estimates["sensor_latency"]["latency"]
         assert learned.belief.dataset == dataset.name and lag["low"] < 0.03 < lag["high"]
-        assert len(learned.errors("heldout")) == 4
+        errors = learned.errors("heldout")
+        assert len(errors) == 4
+        assert fitted.held_out_errors()[dataset.name] == errors.mean() > 0.0
 
 
 def test_a_belief_expects_what_the_other_datasets_tell(pair, monkeypatch):
