@@ -45,7 +45,8 @@ from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, 
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.push_dataset import check_dataset_given
-from slipmap.models.measurements.trial_checks import beyond_table, contradicted_by_contact
+from slipmap.models.measurements.rim_checks import beyond_table
+from slipmap.models.measurements.trial_checks import contradicted_by_contact
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps
 from slipmap.models.progress import Progress, about, silent

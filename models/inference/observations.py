@@ -21,7 +21,7 @@ from slipmap.models.measurements import (
     wrench_samples,
 )
 from slipmap.models.measurements.motion import smooth_track
-from slipmap.models.measurements.trial_checks import beside_table
+from slipmap.models.measurements.rim_checks import beside_table
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing

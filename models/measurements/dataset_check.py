@@ -36,17 +36,15 @@ from slipmap.models.measurements.importing.clocks import (
 )
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset, Trial
+from slipmap.models.measurements.rim_checks import beyond_table
 from slipmap.models.measurements.trial_checks import (
-    IN_DEGREES,
-    beyond_table,
     impossible,
     jittering,
     never_near,
     pushing_force,
-    seems_degrees,
     too_strong,
-    turns_like_degrees,
 )
+from slipmap.models.measurements.trial_tables import IN_DEGREES, seems_degrees, turns_like_degrees
 from slipmap.models.measurements.what_pushes_show import (
     EFFECT_NEEDS,
     Coverage,

@@ -29,7 +29,8 @@ from slipmap.models.measurements.push_dataset import (
 )
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
-from slipmap.models.measurements.trial_checks import IN_DEGREES, check_trials, json_tables, trial_from_tables
+from slipmap.models.measurements.trial_checks import check_trials
+from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.progress import StageProgress
 from slipmap.models.settings import check_kind, check_whole

@@ -1,19 +1,15 @@
-"""Build trials from tables of rows, and check them against geometry and units: unusable ones are refused,
-suspicious ones reported."""
+"""Check trials against geometry, units and each other: unusable ones are refused, odd ones reported."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-from slipmap.models.geometry import placed, seen_from
+from slipmap.models.geometry import placed
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
     FRAME_WRONG,
@@ -25,25 +21,16 @@ from slipmap.models.measurements.contact import (
 )
 from slipmap.models.measurements.motion import stamp_jitter
 from slipmap.models.measurements.push_dataset import (
-    CHANNELS,
     Channel,
     DatasetError,
-    Role,
     Setup,
     Trial,
     gaps,
 )
+from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
+from slipmap.models.measurements.trial_tables import seems_degrees
 from slipmap.models.physics.cell_grid import FloatArray
-
-COLUMNS = 4
-"""Columns of every table: t, x, y, theta or t, fx, fy, tau."""
-
-_LARGEST_VALUE = 1e6  # m, rad, N
-_LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
-_LONGEST_PUSH = 1000.0  # s
-_SHORTEST_STEP = 1e-9  # s
-_WHOLE_TURN = 2.0 * np.pi
 
 _LARGEST_SPEED = 10.0  # m/s
 _SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row-by-row speeds
@@ -62,9 +49,6 @@ _NEVER_NEAR = 0.03  # m of air that no wrong outline, finger or clock explains
 _UNSEEN = 0.15  # s between rows in which a finger may come and go
 _MANY_LENGTHS = 5.0  # of the outline, travelled in a push; beyond, a unit of length is wrong
 _FAR, _TIMES_FARTHER = 3.0, 50.0  # m, and times the others' median, that no object is pushed
-_RIM_ERROR = 0.01  # m by which the rim, or the outline there, may be off
-_LEAST_SUPPORT = 0.05  # of the outline's area, without which nothing stands
-_FINE = 61  # places of a centre of mass tried along each side of the outline
 
 _PULLS = (
     "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
@@ -73,75 +57,7 @@ _PULLS = (
 _NOT_NEAR = (
     "a resting object begins to move, but no finger comes within 1 m of its outline; is the tip given in m?"
 )
-IN_DEGREES = "Angles must be in rad; were these degrees?"
-_TABLE = "table.center and its size in dataset.yaml must be in m, in the frame of object_pose"
 _FORCED = "to keep it, set `keep: true` beside its file in dataset.yaml, or keep_all=True in Python"
-
-
-def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
-    """The tables in a trial's JSON file, by channel."""
-    return {
-        channel: parsing.table(record[channel], COLUMNS, f"{where}, {channel}")
-        for channel in CHANNELS
-        if record.get(channel) is not None
-    }
-
-
-def trial_from_tables(
-    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = _LONGEST_PUSH
-) -> tuple[Trial, list[str]]:
-    """Build a trial from the tables `object_pose`, `tip_pose` and, if measured, `ft_wrench`.
-
-    Rows in which a used column is NaN are dropped, as are tracker rows that cannot be true (see
-    `sound_rows`); theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
-    empty `ft_wrench` counts as not measured.
-
-    Args:
-        tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
-        where: the file, for error messages.
-        longest: longest duration of the trial, s.
-
-    Returns:
-        The trial and warnings about it.
-
-    Raises:
-        DatasetError: missing or empty tables, infinite or absurd numbers, time that does not increase.
-    """
-    for required in ("object_pose", "tip_pose"):
-        if required not in tables:
-            raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
-    pose, rows = _channel(tables, "object_pose", where)
-    warnings = _degrees(pose, where)
-    if not warnings:  # of angles in degrees, an apparent half turn may be half a degree
-        pose, warnings = _sound(pose, rows, f"{where}, object_pose")
-    pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
-    tip, rows = _channel(tables, "tip_pose", where)
-    tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
-    warnings += doubts
-    refuse_long(pose, where, longest)
-    wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
-    if len(pose.time) < 2:
-        raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
-    return Trial(name, role, pose, tip, wrench), warnings
-
-
-def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> None:
-    """Raise DatasetError if a push lasts longer than `longest` s."""
-    lasts = float(pose.time[-1] - pose.time[0])
-    if lasts > longest:
-        raise DatasetError(
-            f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
-            " times must be in s; were these milliseconds? Cut a long recording into its pushes"
-        )
-
-
-def unwrapped(angle: FloatArray) -> FloatArray:
-    """(T,) angle without jumps of whole turns; unwrapping twice changes nothing."""
-    step = np.diff(angle)
-    turns = np.where(np.abs(step) > np.pi + 1e-9, np.round(step / _WHOLE_TURN), 0.0)
-    result = angle.copy()
-    result[1:] -= _WHOLE_TURN * np.cumsum(turns)
-    return result
 
 
 def check_trials(
@@ -168,7 +84,9 @@ def check_trials(
     warnings = _copies(chosen, where)
     doubts = [(trial.name, fault) for trial in chosen for fault in _faults(setup, trial, where)]
     # A frozen tracker or degrees for rad are reported already; do not report their consequences.
-    sound = [one for one in chosen if not _stands_still(setup, one) and not _degrees(one.object_pose, "")]
+    sound = [
+        one for one in chosen if not _stands_still(setup, one) and not seems_degrees(one.object_pose.values)
+    ]
     seen = contact_rows(setup, sound)
     odd, told, frame_wrong = _judged(setup, chosen, seen, where, lambda trial: bool(keep(trial)))
     found: dict[str, list[str]] = {}  # what was left out concerns the dataset no longer
@@ -372,7 +290,7 @@ def _judged(
 def _no_pushes(setup: Setup, trials: Sequence[Trial], pushes: Sequence[ContactRows]) -> dict[str, str]:
     """Why single trials cannot be pushes, by name: the object moves with the finger far away all the time, or
     incomparably farther than in the others. Empty if too few can be judged."""
-    trials = [trial for trial in trials if not _degrees(trial.object_pose, "")]
+    trials = [trial for trial in trials if not seems_degrees(trial.object_pose.values)]
     noise = [float(np.hypot(rows.noise.position, setup.reach * rows.noise.angle)) for rows in pushes]
     least = _least_motion(setup, max(_NOTABLE_MOTION, 5.0 * float(np.median(noise or [0.0]))))
     moved = {trial.name: float(np.max(_shifts(setup, trial))) for trial in trials}
@@ -452,79 +370,6 @@ def _depth_text(pushes: Sequence[ContactRows]) -> str:
     return f"{depth:.0f} mm" if depth > 9.5 else f"{depth:.1f} mm"
 
 
-def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channel, list[str]]:
-    """A tracker's channel without the rows that cannot be true, and warnings about these."""
-    kept, found, stays = sound_rows(channel.time, channel.values)
-    warnings = [
-        f"{where}, row{'s' if len(bad) > 1 else ''} {parsing.listed([str(rows[row]) for row in bad])}:"
-        f" {fault}; left out"
-        for fault, bad in found.items()
-    ]
-    if stays:
-        warnings.append(f"{where}: {stays}; did it really move, or did the tracker's frame jump?")
-    return Channel(channel.time[kept], channel.values[kept]), warnings
-
-
-def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:
-    """A channel, and the indices of its rows in the table."""
-    where = f"{where}, {name}"
-    columns = len(CHANNELS[name])
-    rows = tables[name][:, : columns + 1]
-    if name == "ft_wrench":  # the torque may be missing, since nothing is learned from it
-        measured = np.isfinite(rows[:, :3]).all(axis=1)
-        rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
-    if len(rows) == 0:
-        raise DatasetError(f"{where}: has no rows; remove this empty trial from the dataset")
-    _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")
-    largest = np.array([_LARGEST_TIME] + columns * [_LARGEST_VALUE])
-    _refuse(np.abs(rows) > largest, rows, where, "is too large for s, m, rad, N; check the units")
-    kept = np.flatnonzero(np.isfinite(rows).all(axis=1))
-    if len(kept) == 0:
-        raise DatasetError(
-            f"{where}: every row contains NaN, so nothing was measured; remove the trial or the channel"
-        )
-    time = rows[kept, 0]
-    late = np.flatnonzero(np.diff(time) < _SHORTEST_STEP)
-    if len(late):
-        before, row = kept[late[0]], kept[late[0] + 1]
-        what = "is earlier than" if time[late[0] + 1] < time[late[0]] else "repeats"
-        raise DatasetError(
-            f"{where}, row {row}: time {time[late[0] + 1]} s {what} that of row {before}, {time[late[0]]} s;"
-            " sort the rows and remove repeated ones"
-        )
-    return Channel(time, rows[kept, 1:]), kept
-
-
-def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str) -> None:
-    found = np.flatnonzero(bad.any(axis=1))
-    if len(found):
-        values = ", ".join(f"{value:g}" for value in rows[found[0]])
-        raise DatasetError(f"{where}, row {found[0]}: a number in [{values}] {complaint}")
-
-
-def _degrees(pose: Channel, where: str) -> list[str]:
-    """Warning if raw theta seems to be in degrees."""
-    said = seems_degrees(pose.values)
-    return [f"{where}, object_pose: {said}. {IN_DEGREES}"] if said else []
-
-
-def seems_degrees(values: FloatArray) -> str:
-    """What is odd about poses (T, 3) whose theta exceeds two turns, or turns like degrees; else empty."""
-    theta = values[:, 2]
-    if np.max(np.abs(theta)) <= 2.0 * _WHOLE_TURN:
-        return turns_like_degrees(values)
-    return turns_like_degrees(values) or f"theta runs from {theta.min():.3g} to {theta.max():.3g}"
-
-
-def turns_like_degrees(values: FloatArray) -> str:
-    """What is odd about poses (T, 3) that turn by more than a turn while they hardly move; else empty."""
-    theta = values[:, 2]
-    path = float(np.sum(np.hypot(*np.diff(values[:, :2], axis=0).T)))
-    if np.ptp(theta) < 1.05 * _WHOLE_TURN or path > 1.0:
-        return ""
-    return f"theta runs from {theta.min():.3g} to {theta.max():.3g} while the object moves {path:.2g} m"
-
-
 def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
     """Reasons why a record cannot be that of a push, so that a unit or a frame must be wrong."""
     if _fastest(trial.object_pose) > _LARGEST_SPEED:
@@ -540,82 +385,6 @@ def impossible(setup: Setup, trial: Trial) -> Iterator[str]:
             yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
         if _stands_still(setup, trial):
             yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
-
-
-def beside_table(setup: Setup, trial: Trial) -> str | None:
-    """What is wrong if no table carries the object when a push begins; None if one does or none is given."""
-    if setup.table is None:
-        return None
-    lies = shapely.transform(setup.grid.polygon, partial(placed, pose=trial.object_pose.values[0]))
-    if lies.distance(setup.table.polygon) == 0.0:
-        return None
-    return (
-        "the object begins wholly beyond the table's rim; table.center and its size must be in m, in the"
-        " frame of object_pose"
-    )
-
-
-def beyond_table(setup: Setup, trials: Sequence[Trial]) -> tuple[str | None, float]:
-    """What contradicts the declared table, or where the object fell off it; None if nothing does.
-
-    An object at rest has its centre of mass over the part of its outline that the table carries. If no centre
-    of mass is carried at the start of every push, the table or the poses are wrong. An object has fallen only
-    if no centre that all starts allow is carried at its end. Pushes found by `beside_table` do not count.
-
-    Returns:
-        The complaint, and the share of the pushes that begin where the object cannot rest.
-    """
-    if setup.table is None:
-        return None, 0.0
-    chosen = [trial for trial in trials if beside_table(setup, trial) is None]
-    resting = [trial for trial in chosen if not trial.initial_velocity().any()]
-    exterior = setup.grid.exterior
-    sides = np.linspace(exterior.min(axis=0), exterior.max(axis=0), _FINE)
-    slack = _RIM_ERROR + 0.5 * float(np.hypot(*(sides[1] - sides[0])))  # the centre lies between places tried
-    tried = np.stack(np.meshgrid(*sides.T), axis=-1).reshape(-1, 2)
-    tried = tried[shapely.contains_xy(setup.grid.polygon.convex_hull, *tried.T)]
-    carried = np.array([_carried(setup, trial.object_pose.values[0], tried, slack) for trial in resting])
-    votes = carried.reshape(-1, len(tried)).sum(axis=0)
-    best = int(votes.argmax())
-    if unstable := [trial for trial, row in zip(resting, carried, strict=True) if not row[best]]:
-        text = (
-            f"in {len(unstable)} of {len(trials)} pushes the object begins where it would fall off the table,"
-            f" wherever its centre of mass is ({_middles(setup, unstable, 0)}); {_TABLE}"
-        )
-        return text, len(unstable) / len(trials)
-    allowed = tried[votes == votes[best]]
-    fallen = [one for one in chosen if not _carried(setup, one.object_pose.values[-1], allowed, slack).any()]
-    if not fallen:
-        return None, 0.0
-    text = (
-        f"{parsing.listed([trial.name for trial in fallen])}: the object ends where no table carries it, so"
-        f" it fell ({_middles(setup, fallen, -1)}); end the trial where it tips. If it did not fall, {_TABLE}"
-    )
-    return text, 0.0
-
-
-def _carried(setup: Setup, pose: FloatArray, centers: FloatArray, slack: float) -> NDArray[np.bool_]:
-    """(M,) whether an object at a pose (3,) can rest with its centre of mass at each of `centers` (M, 2),
-    object frame, and the rim up to `slack` m further out."""
-    assert setup.table is not None
-    if setup.table.margin(placed(setup.grid.exterior, pose)).min() >= 0.0:
-        return np.ones(len(centers), dtype=bool)
-    top = shapely.transform(setup.table.polygon.buffer(slack), partial(seen_from, pose=pose))
-    part = setup.grid.polygon.intersection(top)
-    enough = part.area > _LEAST_SUPPORT * setup.grid.polygon.area
-    return np.asarray(shapely.contains_xy(part.convex_hull, *centers.T) & enough)
-
-
-def _middles(setup: Setup, trials: Sequence[Trial], row: int) -> str:
-    """How far the middle of the outline lies beyond the rim in a row of pushes, at most."""
-    assert setup.table is not None
-    center = np.array(setup.grid.polygon.centroid.coords[0])
-    poses = np.array([trial.object_pose.values[row] for trial in trials])
-    off = -float(setup.table.margin(placed(center, poses)).min())
-    side = "beyond" if off > 0.0 else "inside"
-    return (
-        f"the middle of its outline is {'up to ' * (len(trials) > 1)}{1e3 * abs(off):.0f} mm {side} the rim"
-    )
 
 
 def _untouched(setup: Setup, trial: Trial) -> str | None:

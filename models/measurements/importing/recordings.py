@@ -44,7 +44,8 @@ from slipmap.models.measurements.push_dataset import (
 )
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
-from slipmap.models.measurements.trial_checks import check_trials, refuse_long, trial_from_tables
+from slipmap.models.measurements.trial_checks import check_trials
+from slipmap.models.measurements.trial_tables import refuse_long, trial_from_tables
 from slipmap.models.measurements.writing import IMPORTED
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress

@@ -15,7 +15,7 @@ from example_dataset import example_in
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from slipmap.models.measurements import DatasetError, read_dataset
-from slipmap.models.measurements.trial_checks import unwrapped
+from slipmap.models.measurements.trial_tables import unwrapped
 
 SETTINGS = settings(
     max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
