@@ -16,7 +16,8 @@ import numpy as np
 
 from slipmap.models.geometry import angle_between
 from slipmap.models.inference.belief import Belief
-from slipmap.models.measurements.push_dataset import Table, Trial
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.exploration import NoReachablePush

@@ -13,7 +13,8 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import check_draws, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of, in_order
+from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
+from slipmap.models.measurements.trial import in_order
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
 from slipmap.models.settings import check_finger_radius, check_kind, check_positive

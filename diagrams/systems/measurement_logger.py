@@ -19,7 +19,7 @@ from slipmap.diagrams.execution.arm_motion import TORQUE_LAG
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import Trial
-from slipmap.models.measurements.push_dataset import Channel, Role
+from slipmap.models.measurements.trial import Channel, Role
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_positive, check_whole

@@ -1,16 +1,13 @@
 """Push measurements: reading, checking, writing and aligning them."""
 
-from slipmap.models.measurements.push_dataset import (
+from slipmap.models.measurements.push_dataset import KnownMaps, Noise, PushDataset, Table
+from slipmap.models.measurements.reading import read_dataset
+from slipmap.models.measurements.trial import (
     Channel,
     DatasetError,
-    KnownMaps,
-    Noise,
-    PushDataset,
-    Table,
     Trial,
     finger_path,
     pose_times,
     wrench_samples,
 )
-from slipmap.models.measurements.reading import read_dataset
 from slipmap.models.measurements.writing import write_dataset

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
 from slipmap.models.measurements.lasting_noise import NONE_LASTS, PoseNoise, noise_of_poses
 from slipmap.models.measurements.motion import pose_scatter
-from slipmap.models.measurements.push_dataset import Channel, Setup, Trial, gaps
+from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 CALIBRATION_ERROR = 3e-3  # m; good laboratories reach 2 mm

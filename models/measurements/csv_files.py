@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
+from slipmap.models.measurements.trial import CHANNELS, DatasetError, Role, Trial
 from slipmap.models.measurements.trial_tables import IN_DEGREES, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 

@@ -35,8 +35,9 @@ from slipmap.models.measurements.importing.clocks import (
     rises_after_touch,
 )
 from slipmap.models.measurements.motion import rounding_steps, row_noise
-from slipmap.models.measurements.push_dataset import PushDataset, Trial
+from slipmap.models.measurements.push_dataset import PushDataset
 from slipmap.models.measurements.rim_checks import beyond_table
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.measurements.trial_checks import (
     impossible,
     jittering,

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.parsing import Number
-from slipmap.models.measurements.push_dataset import LEAST_SPREAD, DatasetError, KnownMaps, PushDataset
+from slipmap.models.measurements.push_dataset import LEAST_SPREAD, KnownMaps, PushDataset
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _NUMBERS = {"mass": Number("kg", 1e-9, 1e6), "friction": Number("", 1e-4, 10.0)}

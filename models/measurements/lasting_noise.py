@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slipmap.models.measurements.motion import rounding_noise, white_noise
-from slipmap.models.measurements.push_dataset import Setup, Trial, finger_path, gaps, pose_times
+from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.trial import Trial, finger_path, pose_times
 from slipmap.models.physics.cell_grid import FloatArray
 
 _CLEAR = 2e-3  # m from the outline, farther than clocks and frames are usually off

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
+from slipmap.models.measurements.trial import CHANNELS, DatasetError, Role, Trial
 from slipmap.models.measurements.trial_tables import COLUMNS, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 
 from slipmap.models.files import UnreadableFile, read_bounded
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB

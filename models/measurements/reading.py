@@ -15,20 +15,10 @@ from numpy.typing import ArrayLike
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.known_maps import with_known_maps
 from slipmap.models.measurements.parsing import Fingerprint
-from slipmap.models.measurements.push_dataset import (
-    CHANNELS,
-    DatasetError,
-    Noise,
-    PushDataset,
-    Role,
-    Setup,
-    Table,
-    Trial,
-    dataset_of,
-    in_order,
-)
+from slipmap.models.measurements.push_dataset import Noise, PushDataset, Setup, Table, dataset_of
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
+from slipmap.models.measurements.trial import CHANNELS, DatasetError, Role, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray

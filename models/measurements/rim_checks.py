@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.push_dataset import Setup, Trial
+from slipmap.models.measurements.push_dataset import Setup
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 _RIM_ERROR = 0.01  # m by which the rim, or the outline there, may be off

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.geometry import angle_between
-from slipmap.models.measurements.push_dataset import Channel, DatasetError, Setup, Trial, gaps
+from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 _AWAY = 0.02  # m between the finger's rim and the object

@@ -11,7 +11,8 @@ import shapely
 
 from slipmap.models.measurements import known_maps, parsing
 from slipmap.models.measurements.parsing import Number
-from slipmap.models.measurements.push_dataset import MOST_PER_AREA, DatasetError, Noise, Setup, Table
+from slipmap.models.measurements.push_dataset import MOST_PER_AREA, Noise, Setup, Table
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import THICKEST_FINGER, TOO_THICK
 

@@ -8,7 +8,8 @@ import numpy as np
 import shapely
 
 from slipmap.models.geometry import rotated, seen_from
-from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial, gaps
+from slipmap.models.measurements.push_dataset import Noise, PushDataset, gaps
+from slipmap.models.measurements.trial import Channel, Role, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.models.settings import check_kind, check_several

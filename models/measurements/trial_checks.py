@@ -20,15 +20,10 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.motion import stamp_jitter
-from slipmap.models.measurements.push_dataset import (
-    Channel,
-    DatasetError,
-    Setup,
-    Trial,
-    gaps,
-)
+from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
+from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.measurements.trial_tables import seems_degrees
 from slipmap.models.physics.cell_grid import FloatArray
 

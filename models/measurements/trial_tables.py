@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
-from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, Role, Trial
+from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Role, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 COLUMNS = 4

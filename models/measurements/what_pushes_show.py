@@ -10,7 +10,8 @@ import shapely
 
 from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
-from slipmap.models.measurements.push_dataset import PushDataset, Trial, gaps
+from slipmap.models.measurements.push_dataset import PushDataset, gaps
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 _ARCS = 8  # equal parts of the outline's length

@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
 from slipmap.models.geometry import cross
-from slipmap.models.measurements.push_dataset import Trial
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.objects.footprints import rings_of, without_small_holes
 from slipmap.models.objects.images import border_middles, straightened, traced_outline
 from slipmap.models.perception.edge_kernels import SPACING, Land, Shape

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from slipmap.models.inference.belief import Belief
-from slipmap.models.measurements.push_dataset import Channel, Table, Trial
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.balance import balance_margins

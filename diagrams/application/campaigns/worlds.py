@@ -16,7 +16,8 @@ from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Channel, Noise, Table, dataset_of
+from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray

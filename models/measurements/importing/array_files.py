@@ -25,7 +25,7 @@ from slipmap.models.measurements.importing.source import (
     missing_library,
     tables_of_arrays,
 )
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 _DEEPEST = 16  # folders inside a file

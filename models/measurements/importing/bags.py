@@ -27,7 +27,7 @@ from slipmap.models.measurements.importing.source import (
     check_size,
     missing_library,
 )
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 
 BAG_ENDINGS = (".bag", ".db3", ".mcap")
 

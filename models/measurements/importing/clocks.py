@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.measurements.motion import row_noise
-from slipmap.models.measurements.push_dataset import Channel, Setup, gaps
+from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.cell_grid import FloatArray
 
 _SURE = 2.0  # standard errors

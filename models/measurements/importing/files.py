@@ -14,7 +14,7 @@ from slipmap.models.measurements.importing.array_files import (
 from slipmap.models.measurements.importing.bags import BAG_ENDINGS, read_bag
 from slipmap.models.measurements.importing.source import Reader, Source
 from slipmap.models.measurements.importing.text_tables import TEXT_ENDINGS, read_text
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 
 _READERS: dict[str, Reader] = {
     ".mat": read_matlab,

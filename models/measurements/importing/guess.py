@@ -15,7 +15,7 @@ from slipmap.models.measurements.importing.files import find_files, read_sources
 from slipmap.models.measurements.importing.import_setup import UNITS
 from slipmap.models.measurements.importing.mapping import TIMES, seconds_and_nanoseconds
 from slipmap.models.measurements.importing.source import Source
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 _NO_NAMES = (

@@ -17,8 +17,9 @@ import numpy as np
 
 from slipmap.models.measurements import csv_files, parsing
 from slipmap.models.measurements.parsing import Number
-from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Setup
+from slipmap.models.measurements.push_dataset import Setup
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
+from slipmap.models.measurements.trial import CHANNELS, DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 UPWARD = ("z", "y", "x", "-z", "-y", "-x")

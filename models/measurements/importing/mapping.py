@@ -15,7 +15,7 @@ from slipmap.models.measurements.csv_files import LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.importing.text_tables import seconds
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 _SUFFIXES: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -34,16 +34,10 @@ from slipmap.models.measurements.importing.import_setup import (
 from slipmap.models.measurements.importing.mapping import is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
-from slipmap.models.measurements.push_dataset import (
-    CHANNELS,
-    Channel,
-    DatasetError,
-    PushDataset,
-    Trial,
-    in_order,
-)
+from slipmap.models.measurements.push_dataset import PushDataset
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
+from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import refuse_long, trial_from_tables
 from slipmap.models.measurements.writing import IMPORTED

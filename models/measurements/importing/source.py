@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.files import UnreadableFile, check_file
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 LARGEST_FILE = 2**30

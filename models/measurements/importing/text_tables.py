@@ -17,7 +17,7 @@ import numpy as np
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.importing.source import LARGEST_FILE, MOST_CELLS, NO_NUMBER, Column, Source
-from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
 TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log")

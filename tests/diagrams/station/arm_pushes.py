@@ -23,7 +23,7 @@ from slipmap.diagrams.station.sliding_object import BODY, resting_pose, sink_of
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.models.geometry import placed, rotated
 from slipmap.models.inference.observations import observe
-from slipmap.models.measurements.push_dataset import Channel, Trial
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.paper_notation import add
 from slipmap.planners.table_push import TablePush

@@ -12,7 +12,7 @@ from slipmap.diagrams.station.scenario import Scenario, ScenarioError
 from slipmap.diagrams.station.sliding_object import sink_of
 from slipmap.diagrams.station.station import Station
 from slipmap.models.measurements import Trial
-from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.measurements.trial import Channel
 
 
 @pytest.mark.parametrize("radius", [0.002, 0.008, 0.02])

@@ -25,7 +25,7 @@ from slipmap.diagrams.station.scenario import (
 )
 from slipmap.diagrams.station.station import Station
 from slipmap.models.measurements import Trial
-from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects import cells_from_polygon
 from slipmap.planners.settings import RepairSettings
 

@@ -14,7 +14,8 @@ from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger
 from slipmap.models.measurements import PushDataset, Trial, read_dataset, write_dataset
-from slipmap.models.measurements.push_dataset import Channel, DatasetError, Noise, dataset_of
+from slipmap.models.measurements.push_dataset import Noise, dataset_of
+from slipmap.models.measurements.trial import Channel, DatasetError
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
 

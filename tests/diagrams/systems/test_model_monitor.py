@@ -20,8 +20,9 @@ from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import predict
 from slipmap.models.inference.push_misfit import pose_noise, resting_misfit, resting_region
 from slipmap.models.measurements import Trial
-from slipmap.models.measurements.push_dataset import Channel, Noise
+from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.cell_grid import FloatArray
 
 NOISE = np.array([5e-4, 5e-4, 4e-3])

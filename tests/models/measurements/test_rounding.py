@@ -8,7 +8,7 @@ from straight_pushes import straight_pushes
 
 from slipmap.models.measurements.contact import contact_rows
 from slipmap.models.measurements.motion import rounding_noise, rounding_steps
-from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.measurements.trial import Channel
 
 TIME = np.arange(0.0, 3.0, 0.01)
 

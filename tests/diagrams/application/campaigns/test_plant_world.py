@@ -13,7 +13,8 @@ from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNois
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
 from slipmap.models.geometry import placed, turn
 from slipmap.models.inference.observations import observe
-from slipmap.models.measurements.push_dataset import Noise, Trial
+from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.measurements.trial import Trial
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.rollout import Push, Slider

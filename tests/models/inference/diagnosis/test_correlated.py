@@ -10,7 +10,7 @@ from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, 
 from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
-from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.rollout import Slider
 
 
