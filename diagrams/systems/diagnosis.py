@@ -113,8 +113,9 @@ class Diagnosis(PythonSystem):
     it should tell apart (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the
     robot continues without one; surprising pushes widen its intervals as it learns.
 
-    Adopted effects are tested on the next pushes. If the predictions are no better than those of a model
-    without the effects, learned from the earlier pushes, the effects are dropped. If these pushes surprise,
+    Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
+    way and at the end, than one without, both learned from the earlier pushes, the effects are dropped. If
+    these pushes surprise,
     all pushes are diagnosed again, and an effect that is no longer named is dropped, unless it passed its
     test and the new verdict is undecided or unknown. An exception raised by a diagnosis becomes its finding,
     and the robot continues with its present model.
@@ -176,8 +177,9 @@ class Diagnosis(PythonSystem):
                 if len(trials) < self._settings.fewest:
                     return self._pushing_on(replace(repair, trials=len(trials))), None
                 task, rest = _diagnosed, (self._seed,)
-            elif repair.tried is not None and len(self._errors(repair, watch)) >= self._settings.probation:
-                task, rest = _errors_without, (repair.tried.pushes, self._without(repair), self._seed)
+            elif repair.tried is not None and len(trials) - repair.tried.pushes >= self._settings.probation:
+                models = (repair.effects, self._without(repair))
+                task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
             if task is None:
                 return replace(repair, trials=len(trials)), None
             grid = self.input(context, "cell_grid")
@@ -192,7 +194,7 @@ class Diagnosis(PythonSystem):
             return self._concluded(repair, count, _Answer(FAILED, sentence)), None
         if isinstance(answer, _Answer):
             return self._concluded(repair, count, answer), None
-        return self._tried(repair, count, self._errors(repair, self.input(context, "watch")), answer), None
+        return self._tried(repair, count, answer), None
 
     def _doubtful(self, repair: Repair, count: int, watch: Watch) -> bool:
         """Whether to diagnose the pushes: they surprised, the answer is open, or a check is due."""
@@ -238,21 +240,22 @@ class Diagnosis(PythonSystem):
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
         return self._pushing_on(after) if is_open else after
 
-    def _tried(self, repair: Repair, count: int, errors: dict[int, float], without: list[float]) -> Repair:
+    def _tried(self, repair: Repair, count: int, errors: Sequence[tuple[float, float]]) -> Repair:
         """The repair after effects were tested on pushes.
 
         Args:
             count: pushes recorded so far.
-            errors: with the effects, by number of the push, m.
-            without: of a model without them, for each push since they were adopted, m.
+            errors: of each push since they were adopted, with the effects and without, m.
         """
-        assert repair.tried is not None
-        begun_at, names = repair.tried.pushes, " and ".join(repair.effects)
-        pairs = [(errors[k], without[k - begun_at]) for k in errors if k - begun_at < len(without)]
-        telling = [pair for pair in pairs if abs(pair[0] - pair[1]) > TELLS]
-        own, other = (1e3 * np.mean([pair[k] for pair in telling or pairs]) for k in (0, 1))
-        pushes = f"{len(telling or pairs)} push{'es' * (len(telling or pairs) > 1)}"
-        said = f"With {names}, {pushes} ended {own:.1f} mm off on average; without, {other:.1f} mm."
+        names = " and ".join(repair.effects)
+        telling = [pair for pair in errors if abs(pair[0] - pair[1]) > TELLS]
+        own, other = (1e3 * np.mean([pair[k] for pair in telling or errors]) for k in (0, 1))
+        judging = len(telling or errors)
+        pushes = "1 push was" if judging == 1 else f"{judging} pushes were"
+        said = (
+            f"With {names}, {pushes} {own:.1f} mm off on average, along the way or at the end; without,"
+            f" {other:.1f} mm."
+        )
         effects, action = repair.effects, "keeps"
         if not telling:
             said += " That decides nothing."
@@ -271,18 +274,6 @@ class Diagnosis(PythonSystem):
     def _without(self, repair: Repair) -> tuple[str, ...]:
         """The model's effects before it adopted those on trial."""
         return repair.findings[-2].effects if len(repair.findings) > 1 else self._given
-
-    def _errors(self, repair: Repair, watch: Watch) -> dict[int, float]:
-        """Errors of the pushes predicted with the effects on trial, by number of the push, m.
-
-        A belief may hold more effects: a slope brings `load_transfer` with it.
-        """
-        assert repair.tried is not None
-        return {
-            push.trial: push.error
-            for push in watch.judged
-            if push.trial >= repair.tried.pushes and set(repair.effects) <= set(push.effects)
-        }
 
     def _pushing_on(self, repair: Repair) -> Repair:
         return replace(repair, wanted=min(max(repair.wanted, repair.trials + 1), self._most))
@@ -306,15 +297,29 @@ def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed:
     return _Answer(found.verdict, found.sentence, rivals, p, robots_question(found, dataset))
 
 
-def _errors_without(
+def _errors_of(
     make: MakeDataset,
     trials: Sequence[Trial],
     grid: CellGrid,
     count: int,
-    effects: tuple[str, ...],
+    models: tuple[tuple[str, ...], tuple[str, ...]],
     seed: int,
-) -> list[float]:
-    """ADD errors, m, of the pushes after the first `count`, predicted by a model learned from those."""
-    taught = [replace(trial, role="fit") for trial in trials[:count]]
-    belief = learning(effects)(make(taught, grid), seed=seed).belief
-    return [push.final_add for push in predict(belief, make(trials[count:], grid))]
+) -> list[tuple[float, float]]:
+    """Errors, m, of the pushes after the first `count`, as predicted by two models with these effects that
+    were learned from those.
+
+    Of a push, the larger one of its mean error (ADD) along the way and that at the end: a late camera, for
+    example, does not change where objects come to rest.
+    """
+    taught, asked = (
+        make([replace(trial, role="fit") for trial in trials[:count]], grid),
+        make(trials[count:], grid),
+    )
+    first, second = (
+        [
+            max(push.errors.mean_add, push.final_add)
+            for push in predict(learning(own)(taught, seed=seed).belief, asked)
+        ]
+        for own in models
+    )
+    return list(zip(first, second, strict=True))

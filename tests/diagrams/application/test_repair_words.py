@@ -94,11 +94,15 @@ def test_what_has_no_name_widens_intervals_and_that_is_said():
 def test_a_trial_of_an_effect_and_a_diagnosis_that_failed_are_told():
     adopted = Finding(5, "effect", "The model lacks table_tilt.", TILT, "adopts", "table_tilt from no effect")
     tried = Finding(
-        7, "tried", "With table_tilt, 2 pushes ended 9.0 mm off on average; without, 4.0 mm.", (), "drops"
+        7,
+        "tried",
+        "With table_tilt, 2 pushes were 9.0 mm off on average, along the way or at the end; without, 4.0 mm.",
+        (),
+        "drops",
     )
     failed = Finding(8, "failed", "The diagnosis failed: too few pushes.", (), "goes on without")
     first, second, third = repair_story(Repair(8, (), 7, (adopted, tried, failed)), watch((0.02, ())))
     assert first.endswith("The next pushes were chosen to tell table_tilt from no effect.")
-    assert second.startswith("After push 7: With table_tilt, 2 pushes ended 9.0 mm off")
+    assert second.startswith("After push 7: With table_tilt, 2 pushes were 9.0 mm off")
     assert second.endswith("it did not explain the pushes after all.")
     assert "The diagnosis failed: too few pushes. The robot continued" in third
