@@ -76,10 +76,12 @@ TILT, MASS = (
 
 
 def learned(effect, **intervals):
-    """What is learned with an effect, which meets both open pushes to the noise."""
+    """What is learned with an effect, which meets the ten open pushes to the noise."""
     told = {p.name: {"low": -1.0, "high": 1.0} for p in effect.parameters}
     told |= {name: {"low": low, "high": high} for name, (low, high) in intervals.items()}
-    pushes = [SimpleNamespace(role="fit", errors=SimpleNamespace(misfit=misfit)) for misfit in (0.8, 1.25)]
+    pushes = [
+        SimpleNamespace(role="fit", errors=SimpleNamespace(misfit=misfit)) for misfit in 5 * (0.8, 1.25)
+    ]
     pushes.append(SimpleNamespace(role="heldout", errors=SimpleNamespace(misfit=50.0)))
     return SimpleNamespace(effect_estimates={effect.name: told}, pushes=pushes)
 
@@ -114,6 +116,9 @@ def test_an_answer_that_only_describes_the_open_pushes_is_not_named(after, objec
     own = learned(TILT, down_x=(0.01, 0.02), down_y=(-0.02, 0.01))
     said = objection((TILT,), own, False, errors(20.0, 20.0), errors(*after))
     assert (said == Objection("far behind")) is objects
+    # The maps of few pushes may overfit.
+    few = SimpleNamespace(effect_estimates=own.effect_estimates, pushes=own.pushes[1:])
+    assert objection((TILT,), few, False, errors(20.0, 20.0), errors(*after)) is None
     # Locked pushes that are no further off than the open ones do not speak against it.
     for push in own.pushes:
         push.errors.misfit *= 4.0
