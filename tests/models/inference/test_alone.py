@@ -59,3 +59,12 @@ def test_a_level_table_is_level_though_maps_were_bent_to_a_slope(datasets):
         precision = deviations[0] ** -2, TILT.parameters[0].scale ** -2
         assert own.values(0)[0] == pytest.approx(values[0] * precision[0] / sum(precision), abs=3e-3)
     assert found.values(0) == pytest.approx(before[0]) and found.found.z == pytest.approx(before[1])
+
+
+def test_one_push_alone_may_know_less_than_the_prior(datasets):
+    """What a dataset says is its own, and not what is expected of tables."""
+    one = replace(datasets[0], trials=datasets[0].trials[:1])
+    together = Together([Taught.of(each, observe_all(each), silent) for each in (datasets[0], one)])
+    (first,) = together.first_gains([TILT], silent)
+    _, deviations = alone(together.refined(together.fitted([TILT], [first.start]), silent), 1)
+    assert deviations[0] > TILT.parameters[0].scale
