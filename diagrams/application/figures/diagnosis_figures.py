@@ -52,21 +52,18 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         'Figure'
     """
     candidates = diagnosis.candidates
-    objected = {name for names in diagnosis.objections for name in names.split(" and ")}
-    answered = [c.name in diagnosis.effects or (c.in_set and c.name not in objected) for c in candidates]
-    told_of = list(zip(candidates, answered, strict=True))
     gains: list[float | None] = [c.gain for c in candidates]
     fitted = [c.fitted_gain for c in candidates]
     left = [c.remaining_gain for c in candidates]
-    plain = [OTHER if a else _PALE for a in answered]
-    judged = [_ALARM if c.rejected_by is not None else OTHER if a else _PALE for c, a in told_of]
+    plain = [OTHER if c.in_set else _PALE for c in candidates]
+    judged = [_ALARM if c.rejected_by is not None else own for c, own in zip(candidates, plain, strict=True)]
     first_order = _longest(gains + left)
     panels = (
         ("gain to first order", gains, plain, first_order),
         ("gain when refitted", fitted, plain, _longest(fitted)),
         ("left to gain on top of it", left, judged, first_order),
     )
-    return _panels_of_bars(list(zip([c.name for c in candidates], answered, strict=True)), panels)
+    return _panels_of_bars([(c.name, c.in_set) for c in candidates], panels)
 
 
 @styled

@@ -188,7 +188,6 @@ def diagnose(
         found, with_it, _ = judged(second, least, True)
         if found.rivals:
             outcome, learned = found, with_it
-            inquiry.accepted = []
         else:
             outcome = replace(outcome, objections={**outcome.objections, **found.objections})
     if not (outcome.rivals or outcome.fault or quick) and before is not None:
@@ -196,7 +195,6 @@ def diagnose(
             found, with_it, _ = judged(again, before, inquiry.rough)
             if found.rivals:
                 outcome, learned = found, with_it
-                inquiry.accepted = []
                 break
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
@@ -577,7 +575,7 @@ class Inquiry:
                     rejected_by=left.rejected_by if left else None,
                     remaining_gain=left.gain if left else None,
                     remaining_p=left.p_value if left else None,
-                    in_set=name in self.accepted or name in answer,
+                    in_set=name in answer,
                     parameters=own,
                 )
             )

@@ -73,7 +73,7 @@ class CandidateResult:
     rejected_by: str | None = None
     remaining_gain: float | None = None  # of that addition, nats
     remaining_p: float | None = None  # its p-value
-    in_set: bool = False  # whether the data cannot rule it out
+    in_set: bool = False  # whether it is in the answer
     parameters: tuple[ParameterEstimate, ...] = ()  # where it was refitted
 
 
@@ -238,7 +238,7 @@ class JointCandidate:
     p_value: float | None
     gain: float | None  # the same after a full refit; None without one
     evidence: float | None  # the same less what its parameters would gain anyway
-    in_set: bool  # whether the data cannot rule it out
+    in_set: bool  # whether it is in the answer
     # what speaks against an effect that the locked pushes have judged; `not refitted` where a refit failed
     objection: str | None
     # how large an effect that the datasets share could still be beside the answer, to first order; empty for

@@ -77,7 +77,6 @@ def test_of_two_effects_one_that_may_be_zero_is_dropped(monkeypatch):
         run(inquiry)
         tilt = inquiry.refits.fits["table_tilt"]
         values = [*tilt.values, *friction.start_values(inquiry.scene)[0]]
-        inquiry.accepted = []
         both = (*tilt.effects, friction)
         error = tilt.likelihood.error
         return two_at_once([inquiry.fitter.with_effects(both, error, tilt, np.array(values), afresh=True)])
