@@ -32,6 +32,9 @@ off by a third of that."""
 FAILED, TRIED = "failed", "tried"
 """Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes."""
 
+_OPEN = ("undecided", "unknown", FAILED)
+"""Verdicts that speak neither for nor against effects that are on trial."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -57,9 +60,14 @@ class Repair:
 
     @property
     def tried(self) -> Finding | None:
-        """The adoption of effects that no later finding has confirmed or reversed."""
-        last = self.findings[-1] if self.findings else None
-        return last if last is not None and last.action == "adopts" else None
+        """The adoption of effects that no later finding has confirmed or reversed; an open answer does
+        neither."""
+        for finding in reversed(self.findings):
+            if finding.action == "adopts":
+                return finding
+            if finding.verdict not in _OPEN:
+                break
+        return None
 
     def to_json(self) -> dict[str, Any]:
         """As plain data, for people and programs."""
@@ -115,10 +123,9 @@ class Diagnosis(PythonSystem):
 
     Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
     way and at the end, than one without, both learned from the earlier pushes, the effects are dropped. If
-    these pushes surprise,
-    all pushes are diagnosed again, and an effect that is no longer named is dropped, unless it passed its
-    test and the new verdict is undecided or unknown. An exception raised by a diagnosis becomes its finding,
-    and the robot continues with its present model.
+    these pushes surprise, all pushes are diagnosed again, and an effect that is no longer named is dropped,
+    unless the new verdict is undecided or unknown and the test is still to come or was passed. An exception
+    raised by a diagnosis becomes its finding, and the robot continues with its present model.
 
     Args:
         make_dataset: combines trials and grid into a dataset with everything known about the setup.
@@ -173,13 +180,13 @@ class Diagnosis(PythonSystem):
                 return now
             task: Any = None
             rest: tuple[Any, ...]
-            if self._doubtful(repair, len(trials), watch):
+            if repair.tried is not None and len(trials) - repair.tried.pushes >= self._settings.probation:
+                models = (repair.effects, self._without(repair))
+                task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
+            elif self._doubtful(repair, len(trials), watch):
                 if len(trials) < self._settings.fewest:
                     return self._pushing_on(replace(repair, trials=len(trials))), None
                 task, rest = _diagnosed, (self._seed,)
-            elif repair.tried is not None and len(trials) - repair.tried.pushes >= self._settings.probation:
-                models = (repair.effects, self._without(repair))
-                task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
             if task is None:
                 return replace(repair, trials=len(trials)), None
             grid = self.input(context, "cell_grid")
@@ -220,8 +227,11 @@ class Diagnosis(PythonSystem):
         is_open = found.verdict == "undecided" and found.p <= self._settings.chance
         if found.verdict == FAILED:
             effects, question = repair.effects, None
-        elif not named and found.verdict != "adequate" and self._confirmed(repair):
-            # Something else is wrong as well, but pushes have shown that these effects help.
+        elif not named and (
+            (found.verdict != "adequate" and self._confirmed(repair))
+            or (found.verdict in _OPEN and repair.tried is not None)
+        ):
+            # Something else is wrong as well, but pushes have shown, or will, whether these effects help.
             effects = repair.effects
         if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
@@ -273,7 +283,9 @@ class Diagnosis(PythonSystem):
 
     def _without(self, repair: Repair) -> tuple[str, ...]:
         """The model's effects before it adopted those on trial."""
-        return repair.findings[-2].effects if len(repair.findings) > 1 else self._given
+        assert repair.tried is not None
+        place = repair.findings.index(repair.tried)
+        return repair.findings[place - 1].effects if place else self._given
 
     def _pushing_on(self, repair: Repair) -> Repair:
         return replace(repair, wanted=min(max(repair.wanted, repair.trials + 1), self._most))

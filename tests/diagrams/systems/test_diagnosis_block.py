@@ -166,14 +166,36 @@ def test_without_a_name_the_robot_goes_on(monkeypatch, verdict):
 
 
 def test_an_effect_that_does_not_help_is_dropped(monkeypatch):
-    robot = Robot(monkeypatch, ("effect", ("tether",)), ("undecided", ()), ("effect", ("table_tilt",)))
+    robot = Robot(monkeypatch, ("effect", ("tether",)), ("effect", ("table_tilt",)))
     assert robot.push(5, alarm=True).effects == ("tether",)
-    assert robot.push(6).effects == ("tether",)
-    assert robot.push(7, alarm=True).effects == ()
+    assert robot.push(6, error=0.05).effects == ("tether",)
+    assert robot.push(7, error=0.05, alarm=True).effects == ()
     repair = robot.push(8, alarm=True)
     assert repair.effects == ("table_tilt",)
     assert actions(repair) == ["adopts", "drops", "adopts"]
-    assert [finding["pushes"] for finding in repair.to_json()["findings"]] == robot.asked == [5, 7, 8]
+    assert robot.asked == [5, 8]
+    assert [finding["pushes"] for finding in repair.to_json()["findings"]] == [5, 7, 8]
+
+
+@pytest.mark.parametrize("verdict", ["undecided", "unknown"])
+@pytest.mark.parametrize(("error", "then"), [(0.001, "keeps"), (0.05, "drops")])
+def test_an_open_answer_leaves_an_effect_on_trial_to_its_test(monkeypatch, verdict, error, then):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), (verdict, ()))
+    robot.push(5, alarm=True)
+    repair = robot.push(6, alarm=True, error=error)
+    assert repair.effects == ("tether",) and repair.tried == repair.findings[0]
+    repair = robot.push(7, error=error)
+    assert robot.asked == [5, 6] and robot.compared == [("tether",), ()]
+    assert (repair.findings[-1].verdict, repair.findings[-1].action) == ("tried", then)
+    assert repair.effects == (("tether",) if then == "keeps" else ())
+    assert repair.tried is None
+
+
+def test_an_effect_on_trial_is_dropped_where_nothing_is_missing(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), ("adequate", ()))
+    robot.push(5, alarm=True)
+    repair = robot.push(6, alarm=True)
+    assert (repair.effects, repair.tried, actions(repair)) == ((), None, ["adopts", "drops"])
 
 
 def test_an_effect_that_is_named_again_is_kept(monkeypatch):
@@ -206,9 +228,11 @@ def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
     robot = Robot(monkeypatch, *answers, effects=("table_tilt",))
     assert robot.read("effects") == ("table_tilt",)
     assert robot.push(5, alarm=True).effects == ("table_tilt", "tether")
-    assert robot.push(6, alarm=True).effects == ("table_tilt",)
-    repair = robot.push(7, alarm=True)
-    assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "drops", "goes on without"])
+    assert robot.push(6, alarm=True, error=0.05).effects == ("table_tilt", "tether")
+    assert robot.push(7, alarm=True, error=0.05).effects == ("table_tilt",)
+    repair = robot.push(8, alarm=True)
+    assert repair.effects == ("table_tilt",)
+    assert actions(repair) == ["adopts", "pushes on", "drops", "goes on without"]
 
 
 @pytest.mark.parametrize("effects", [(), ("table_tilt",)])
@@ -221,6 +245,9 @@ def test_a_diagnosis_that_fails_is_told_and_the_robot_goes_on(monkeypatch, effec
     assert (repair.trials, repair.effects) == (count, effects)
     assert actions(repair)[-1] == ("keeps" if effects else "goes on without")
     assert repair.findings[-1].verdict == "failed" and str(error) in repair.findings[-1].sentence
+    if effects:  # their test is due
+        count += 1
+        assert robot.push(count, alarm=True).findings[-1].verdict == "tried"
     assert robot.push(count + 1, alarm=True).effects == ("tether",)  # the next alarm is looked into again
 
 
