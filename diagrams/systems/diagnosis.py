@@ -29,11 +29,15 @@ TELLS = 1e-3
 """m by which errors with and without an effect must differ for a push to favour either: camera and finger are
 off by a third of that."""
 
-FAILED, TRIED = "failed", "tried"
-"""Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes."""
+FAILED, TRIED, CLOSE = "failed", "tried", "close"
+"""Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes;
+they were, and did worse, but not by far."""
 
-_OPEN = ("undecided", "unknown", FAILED)
+_OPEN = ("undecided", "unknown", FAILED, CLOSE)
 """Verdicts that speak neither for nor against effects that are on trial."""
+
+_FAR = 2.0
+"""How many times larger errors with an effect must be for its first test to drop it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class Finding:
     """The result of one diagnosis or one test of effects, and what the robot did about it."""
 
     pushes: int  # pushes examined
-    verdict: str  # see `slipmap.models.inference.diagnosis.results.VERDICTS`; or `FAILED`, `TRIED`
+    verdict: str  # see `slipmap.models.inference.diagnosis.results.VERDICTS`; or `FAILED`, `TRIED`, `CLOSE`
     sentence: str  # the verdict in words
     effects: tuple[str, ...]  # of the model from then on
     action: str  # `adopts`, `keeps`, `drops`, `pushes on`, `goes on without`
@@ -68,6 +72,12 @@ class Repair:
             if finding.verdict not in _OPEN:
                 break
         return None
+
+    @property
+    def tested_at(self) -> int:
+        """Pushes recorded when effects were last adopted or tested; 0 if none are on trial."""
+        tested = [one.pushes for one in self.findings if one.verdict == CLOSE]
+        return 0 if self.tried is None else max([self.tried.pushes, *tested])
 
     def to_json(self) -> dict[str, Any]:
         """As plain data, for people and programs."""
@@ -122,10 +132,11 @@ class Diagnosis(PythonSystem):
     robot continues without one; surprising pushes widen its intervals as it learns.
 
     Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
-    way and at the end, than one without, both learned from the earlier pushes, the effects are dropped. If
-    these pushes surprise, all pushes are diagnosed again, and an effect that is no longer named is dropped,
-    unless the new verdict is undecided or unknown and the test is still to come or was passed. An exception
-    raised by a diagnosis becomes its finding, and the robot continues with its present model.
+    way and at the end, than one without, both learned from the earlier pushes, the effects are dropped; after
+    a first close call, only if as many pushes again say so. If these pushes surprise, all pushes are
+    diagnosed again, and an effect that is no longer named is dropped, unless the new verdict is undecided or
+    unknown and the test is still to come or was passed. An exception raised by a diagnosis becomes its
+    finding, and the robot continues with its present model.
 
     Args:
         make_dataset: combines trials and grid into a dataset with everything known about the setup.
@@ -180,7 +191,8 @@ class Diagnosis(PythonSystem):
                 return now
             task: Any = None
             rest: tuple[Any, ...]
-            if repair.tried is not None and len(trials) - repair.tried.pushes >= self._settings.probation:
+            due = repair.tested_at + self._settings.probation
+            if repair.tried is not None and len(trials) >= due:
                 models = (repair.effects, self._without(repair))
                 task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
             elif self._doubtful(repair, len(trials), watch):
@@ -267,12 +279,18 @@ class Diagnosis(PythonSystem):
             f" {other:.1f} mm."
         )
         effects, action = repair.effects, "keeps"
+        verdict, wanted = TRIED, repair.wanted
         if not telling:
             said += " That decides nothing."
         elif own >= other:
-            effects, action = self._without(repair), "drops"
-        finding = Finding(count, TRIED, said, effects, action)
-        return Repair(count, effects, repair.wanted, (*repair.findings, finding))
+            assert repair.tried is not None
+            if own < _FAR * other and repair.tested_at == repair.tried.pushes:
+                said += " That is close, so the test goes on."
+                verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
+            else:
+                effects, action = self._without(repair), "drops"
+        finding = Finding(count, verdict, said, effects, action)
+        return Repair(count, effects, wanted, (*repair.findings, finding))
 
     def _confirmed(self, repair: Repair) -> bool:
         """Whether the present effects were tested on pushes and kept."""

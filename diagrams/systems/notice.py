@@ -10,7 +10,7 @@ from textwrap import fill, shorten
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipmap.diagrams.systems.diagnosis import TRIED, Finding, Repair
+from slipmap.diagrams.systems.diagnosis import CLOSE, TRIED, Finding, Repair
 from slipmap.diagrams.systems.look import INK, styled
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
@@ -110,7 +110,7 @@ def _found(found: Finding, belief: Belief | None, *, asks: bool) -> tuple[str, s
         return did, f"The next push tells {found.telling}."
     if found.action == "adopts":
         return did, f"{told}The next pushes test it."
-    if found.verdict == TRIED:
+    if found.verdict in (TRIED, CLOSE):
         return did, found.sentence
     return did, told.strip() or found.sentence
 

@@ -530,9 +530,9 @@ def _finding(finding: Finding, *, asks: bool) -> str:
     did = _DID[finding.action].format(effects=_names(finding.effects))
     if not asks and finding.action == "pushes on":
         did = _DID["goes on without"]
-    from slipmap.diagrams.systems.diagnosis import FAILED, TRIED
+    from slipmap.diagrams.systems.diagnosis import CLOSE, FAILED, TRIED
 
-    looked = "" if finding.verdict in (FAILED, TRIED) else ", diagnosis"
+    looked = "" if finding.verdict in (FAILED, TRIED, CLOSE) else ", diagnosis"
     said = f"After push {finding.pushes}{looked}: {finding.sentence} {did}"
     if not (finding.telling and asks):
         return said
