@@ -274,10 +274,7 @@ class Diagnosis(PythonSystem):
         own, other = (1e3 * np.mean([pair[k] for pair in telling or errors]) for k in (0, 1))
         judging = len(telling or errors)
         pushes = "1 push was" if judging == 1 else f"{judging} pushes were"
-        said = (
-            f"With {names}, {pushes} {own:.1f} mm off on average, along the way or at the end; without,"
-            f" {other:.1f} mm."
-        )
+        said = f"With {names}, {pushes} {own:.1f} mm off on average; without, {other:.1f} mm."
         effects, action = repair.effects, "keeps"
         verdict, wanted = TRIED, repair.wanted
         if not telling:

@@ -467,9 +467,11 @@ class Inquiry:
         """Single effects, best first: what is left of pairs in which one interval includes its null."""
         needed: dict[str, Fitted] = {}
         for pair in rivals:
-            needless = against[outcomes.name_of(pair)].effect if outcomes.name_of(pair) in against else None
-            for effect in pair.effects if needless is not None else ():
-                if effect.name != needless and effect.name in self.refits.fits:
+            found = against.get(outcomes.name_of(pair))
+            if found is None or found.effect is None:
+                continue
+            for effect in pair.effects:
+                if effect.name != found.effect and effect.name in self.refits.fits:
                     needed[effect.name] = self.refits.fits[effect.name]
         return sorted(needed.values(), key=lambda fitted: fitted.cost)
 

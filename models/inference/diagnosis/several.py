@@ -35,11 +35,7 @@ from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
 from slipmap.models.inference.alone import alone
-from slipmap.models.inference.diagnosis.joint_answer import (
-    answer_about,
-    joint_answer,
-    objection_to,
-)
+from slipmap.models.inference.diagnosis.joint_answer import answer_about, joint_answer, objection_to
 from slipmap.models.inference.diagnosis.locked import (
     CLEARLY,
     Ground,

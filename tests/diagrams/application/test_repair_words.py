@@ -96,7 +96,7 @@ def test_a_trial_of_an_effect_and_a_diagnosis_that_failed_are_told():
     tried = Finding(
         7,
         "tried",
-        "With table_tilt, 2 pushes were 9.0 mm off on average, along the way or at the end; without, 4.0 mm.",
+        "With table_tilt, 2 pushes were 9.0 mm off on average; without, 4.0 mm.",
         (),
         "drops",
     )

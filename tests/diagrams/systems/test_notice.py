@@ -10,7 +10,7 @@ import pytest
 from matplotlib import image
 from moving_blocks import block_belief
 
-from slipmap.diagrams.systems.diagnosis import TRIED, Finding, Repair
+from slipmap.diagrams.systems.diagnosis import CLOSE, TRIED, Finding, Repair
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.systems.notice import ALARMING, NOTICE, Words, notice, words_of
@@ -78,6 +78,7 @@ def test_a_surprise_is_not_forgotten_where_nothing_examines_it():
         ("effect", "adopts", ("Added: table_tilt", "The next pushes test it."),
          ("Added: tilt 8.0°", "tilt 8.0°, downhill towards 90°. The next pushes test it.")),
         (TRIED, "keeps", ("Kept: table_tilt", "In a sentence."), ("Kept: tilt 8.0°", "In a sentence.")),
+        (CLOSE, "keeps", ("Kept: table_tilt", "In a sentence."), ("Kept: tilt 8.0°", "In a sentence.")),
         ("effect", "keeps", ("Kept: table_tilt", "In a sentence."),
          ("Kept: tilt 8.0°", "tilt 8.0°, downhill towards 90°.")),
     ],
