@@ -64,12 +64,12 @@ class Repair:
 
     @property
     def tried(self) -> Finding | None:
-        """The adoption of effects that no later finding has confirmed or reversed; an open answer does
-        neither."""
+        """The adoption of effects that no later finding has tested or reversed. To be named again is no
+        test."""
         for finding in reversed(self.findings):
             if finding.action == "adopts":
                 return finding
-            if finding.verdict not in _OPEN:
+            if finding.verdict == TRIED or finding.action in ("drops", "goes on without"):
                 break
         return None
 
@@ -132,8 +132,8 @@ class Diagnosis(PythonSystem):
     robot continues without one; surprising pushes widen its intervals as it learns.
 
     Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
-    way and at the end, than one without, both learned from the earlier pushes, the effects are dropped; after
-    a first close call, only if as many pushes again say so. If these pushes surprise, all pushes are
+    way and at the end, than one without, both learned from all pushes before each, the effects are dropped;
+    after a first close call, only if as many pushes again say so. If these pushes surprise, all pushes are
     diagnosed again, and an effect that is no longer named is dropped, unless the new verdict is undecided or
     unknown and the test is still to come or was passed. An exception raised by a diagnosis becomes its
     finding, and the robot continues with its present model.
@@ -332,21 +332,17 @@ def _errors_of(
     models: tuple[tuple[str, ...], tuple[str, ...]],
     seed: int,
 ) -> list[tuple[float, float]]:
-    """Errors, m, of the pushes after the first `count`, as predicted by two models with these effects that
-    were learned from those.
+    """Errors, m, of the pushes after the first `count`, each predicted by two models with these effects that
+    were learned from all pushes before it.
 
     Of a push, the larger one of its mean error (ADD) along the way and that at the end: a late camera, for
     example, does not change where objects come to rest.
     """
-    taught, asked = (
-        make([replace(trial, role="fit") for trial in trials[:count]], grid),
-        make(trials[count:], grid),
-    )
-    first, second = (
-        [
-            max(push.errors.mean_add, push.final_add)
-            for push in predict(learning(own)(taught, seed=seed).belief, asked)
-        ]
-        for own in models
-    )
-    return list(zip(first, second, strict=True))
+
+    def error(effects: tuple[str, ...], before: int) -> float:
+        taught = make([replace(trial, role="fit") for trial in trials[:before]], grid)
+        (push,) = predict(learning(effects)(taught, seed=seed).belief, make([trials[before]], grid))
+        return max(push.errors.mean_add, push.final_add)
+
+    with_them, without = models
+    return [(error(with_them, k), error(without, k)) for k in range(count, len(trials))]

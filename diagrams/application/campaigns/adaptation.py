@@ -7,7 +7,7 @@ brought to the edge, grasped and lifted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,11 @@ from slipmap.diagrams.station.hidden_effects import (
     ViscousFriction,
 )
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.geometry import compose
+from slipmap.models.physics.paper_notation import add
+
+if TYPE_CHECKING:
+    from slipmap.diagrams.loops.exploration_run import ExplorationRun
 
 ROBOTS = ("adapting", "plain")  # how the robot runs: with or without `--adapt`
 NOTHING = "nothing"
@@ -50,6 +55,12 @@ NAMES = {
 }
 """The correct effect of the library for each hidden effect."""
 
+MOVES = 5e-3
+"""m by which an effect must change where the first pushes end, in the median, to be worth a name."""
+
+SOON = 10  # pushes within which the effect must be adopted for that
+FIRST = 5  # number of exploring pushes that count for this: those made whatever is adopted later
+
 FELL = 0.4  # ratio of the error after to before at or below which another effect counts as equivalent
 NEXT = 5  # number of pushes after the adoption that count
 
@@ -63,7 +74,8 @@ def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
 
     Returns:
         The content of `PregraspRun.to_json`, `yaw`, `judged` (for each predicted push its error and how far
-        it moved the object, m, its p, whether there was an alarm, and the effects of the model) and `repair`.
+        it moved the object, m, its p, whether there was an alarm, and the effects of the model), `repair`,
+        and for the adapting robot `shifts`, see `shifts_of_ends`.
 
     Raises:
         KeyboardInterrupt: Ctrl-C, which is no result.
@@ -71,13 +83,37 @@ def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
     scenario = Scenario(hidden=HIDDEN[hidden])
     told, run = taken(scenario, seed, object_name, "probabilistic", adapt=robot == "adapting")
     if run is None:
-        return told | {"judged": [], "repair": None}
+        return told | {"judged": [], "repair": None, "shifts": []}
     names = ("trial", "error", "moved", "p", "alarm")
     judged = [
         {name: getattr(one, name) for name in names} | {"effects": list(one.effects)}
         for one in run.watch.judged
     ]
-    return told | {"judged": judged, "repair": None if run.repair is None else run.repair.to_json()}
+    repair = None if run.repair is None else run.repair.to_json()
+    shifts = shifts_of_ends(run, HIDDEN[hidden]) if robot == "adapting" else []
+    return told | {"judged": judged, "repair": repair, "shifts": shifts}
+
+
+def shifts_of_ends(run: ExplorationRun, hidden: HiddenEffectsConfig) -> list[float | None]:
+    """Distances (ADD), m, between the true ends of the first pushes with and without the hidden effects.
+
+    Both ends come from the plant without an arm, from the recorded pose and track of the finger. A distance
+    is None where the object falls with the effects or without.
+    """
+    from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
+
+    thing, X_SO = run.true_object, run.X_SO
+    assert thing is not None and X_SO is not None
+    pushes = run.dataset.trials[:FIRST]
+    if not hidden.is_forceful:
+        return [0.0] * len(pushes)
+    worlds = [PlantWorld(thing, hidden=effects) for effects in (hidden, None)]
+    shifts: list[float | None] = []
+    for push in pushes:
+        X_WO = compose(push.object_pose.values[0], X_SO)
+        ends = np.array([world.replayed(push, X_WO) for world in worlds])
+        shifts.append(None if np.isnan(ends).any() else float(add(ends[0], ends[1], thing.grid.centers)))
+    return shifts
 
 
 def adopted(result: dict[str, Any]) -> list[str]:
@@ -114,7 +150,21 @@ def answer(hidden: str, result: dict[str, Any]) -> str:
     return "equivalent" if lowered and hidden != NOTHING else "other"
 
 
+def is_needed(result: dict[str, Any]) -> bool:
+    """Whether the hidden effects change where the first pushes end by at least `MOVES` in the median."""
+    shifts = [np.inf if shift is None else shift for shift in result["shifts"]]
+    return bool(shifts) and bool(np.median(shifts) >= MOVES)
+
+
+def adopted_after(result: dict[str, Any]) -> int | None:
+    """Number of pushes after which the effects of the model at the end were adopted; None without any."""
+    if not adopted(result):
+        return None
+    return int([one["pushes"] for one in result["repair"]["findings"] if one["action"] == "adopts"][-1])
+
+
 _ANSWERS = ("named", "equivalent", "other", "none")
+_EVERY = "all effects"
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
@@ -123,31 +173,41 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         told = outcome.spec.parameters
         of = every.setdefault(told["hidden"], {robot: [] for robot in ROBOTS})
         if outcome.result is not None:
-            of[told["robot"]].append(outcome.result)
+            of[told["robot"]].append(outcome.result | {"hidden": told["hidden"]})
+    hiding = [of for hidden, of in every.items() if hidden != NOTHING]
+    if len(hiding) > 1:
+        every[_EVERY] = {robot: [one for of in hiding for one in of[robot]] for robot in ROBOTS}
     answers, off, delivered, fates, held, document = [], [], [], [], {}, {}
     for hidden, of in every.items():
-        said = [answer(hidden, one) for one in of["adapting"]]
+        said = [answer(one["hidden"], one) for one in of["adapting"]]
         counts = {name: said.count(name) for name in _ANSWERS}
-        right = counts["none"] if hidden == NOTHING else counts["named"] + counts["equivalent"]
-        found = share(right, len(said))
+        right = [_is_right(one) for one in of["adapting"]]
+        needed = [
+            _is_right(one) and (adopted_after(one) or 0) <= SOON for one in of["adapting"] if is_needed(one)
+        ]
+        found, found_needed = (share(sum(part), len(part)) for part in (right, needed))
         fell = [pair for one in of["adapting"] if (pair := errors_by_adoption(one)) is not None]
-        errors = {
-            "before": mean([pair[0] for pair in fell]),
-            "after": mean([pair[1] for pair in fell]),
-            "ratio": mean([pair[1] / pair[0] for pair in fell]),
-        }
+        before, after = (mean([pair[k] for pair in fell]) for k in (0, 1))
+        ratio = float(np.median([pair[1] / pair[0] for pair in fell])) if fell else None
         held[hidden] = {robot: share(_count(of[robot], "held"), len(of[robot])) for robot in ROBOTS}
         pushes = {robot: mean([len(one["pushes"]) for one in of[robot]]) for robot in ROBOTS}
-        answers.append([hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()])
-        two = (errors[name].short(1e2) for name in ("before", "after"))
-        off.append([hidden, str(len(fell)), *two, errors["ratio"].short(digits=2)])
+        answers.append(
+            [
+                *(hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()),
+                *(str(len(needed)), found_needed.percent() if needed else "–"),
+            ]
+        )
+        numbers = (error.short(1e2) for error in (before, after))
+        off.append([hidden, str(len(fell)), *numbers, "–" if ratio is None else f"{ratio:.2f}"])
         numbers = (pushes[robot].short(digits=2) for robot in ROBOTS)
         delivered.append([hidden, *(held[hidden][robot].percent() for robot in ROBOTS), *numbers])
         fates.append([hidden, *(_fates(of[robot]) for robot in ROBOTS)])
         document[hidden] = {
             "answers": counts,
             "right": found,
-            "errors": errors,
+            "needed": len(needed),
+            "right_where_needed": found_needed if needed else None,
+            "errors": {"before": before, "after": after, "ratio": ratio},
             "held": held[hidden],
             "pushes": pushes,
         }
@@ -155,9 +215,13 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))
     return experiments.Summary(
         [
-            experiments.TableText("Effects adopted", ("hidden", "trials", *_ANSWERS, "right, %"), answers),
             experiments.TableText(
-                "Error of predicted ends, median of a trial, % of the push's way",
+                "Effects adopted",
+                ("hidden", "trials", *_ANSWERS, "right, %", "needed", "right in time, %"),
+                answers,
+            ),
+            experiments.TableText(
+                "Error of predicted ends, median of a trial, % of the push's way; median of the ratios",
                 ("hidden", "trials", "before", "with the effect", "ratio"),
                 off,
             ),
@@ -165,10 +229,17 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             experiments.TableText("How trials ended", ("hidden", *ROBOTS), fates),
         ],
         f"Another effect counts as equivalent if it lowers the error of the next {NEXT} pushes to {FELL:.0%}"
-        " or less; where nothing is hidden, `none` is right. Only pushes towards the edge are counted.",
+        f" or less; where nothing is hidden, `none` is right. An effect is needed if the first {FIRST} pushes"
+        f" end {1e3 * MOVES:.0f} mm or more elsewhere with it (median, in the plant), and in time within"
+        f" {SOON} pushes. Only pushes towards the edge are counted.",
         {"hidden": document},
         lambda: [figures.shares_figure(title, held, {})],
     )
+
+
+def _is_right(result: dict[str, Any]) -> bool:
+    said = answer(result["hidden"], result)
+    return said == "none" if result["hidden"] == NOTHING else said in ("named", "equivalent")
 
 
 def _count(results: Sequence[dict[str, Any]], fate: str) -> int:

@@ -15,7 +15,9 @@ from slipmap.diagrams.loops.exploration_loop import SENSORS
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.inference.belief import Belief
-from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.inference.observations import interpolated
+from slipmap.models.measurements import PushDataset, Trial, finger_path
+from slipmap.models.measurements.motion import smooth_track
 from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects.benchmark_objects import benchmark_object
@@ -146,11 +148,24 @@ class DirectWorld(ABC):
                 f" ({1e3 * begin[0]:.0f}, {1e3 * begin[1]:.0f}) mm is {1e3 * gap:.1f} mm from the outline,"
                 f" closer than its radius of {1e3 * self.finger_radius:.0f} mm"
             )
-        motion = self._drive(finger_path(replace(push, begin=begin, end=end), self._step))
+        motion = self._drive(commanded_path(replace(push, begin=begin, end=end), self._step))
         self._settle()
         trial = self._recorded(motion)
         self.pushes += 1
         return trial
+
+    def replayed(self, trial: Trial, pose: FloatArray) -> FloatArray:
+        """Place the object at a pose (3,) and let the finger follow a recorded track, without noise.
+
+        Returns:
+            (3,) pose where the object comes to rest, m and rad; NaN if it falls. Whole turns are lost.
+        """
+        self.reset(pose, np.random.default_rng(0))
+        time, track, _ = smooth_track(*finger_path(trial))
+        rows = int(np.ceil(time[-1] / PERIOD)) * round(PERIOD / self._step)
+        self._drive(interpolated(self._step * np.arange(rows + 1, dtype=float), time, track))
+        self._settle()
+        return self._pose()
 
     def _recorded(self, motion: Motion) -> Trial:
         """The motion as the sensors report it. The last row is the object at rest, if it is still there."""
@@ -207,7 +222,7 @@ class DirectWorld(ABC):
         """(3,) true pose, NaN where the object is not flat on the table."""
 
 
-def finger_path(push: TablePush, step: float) -> FloatArray:
+def commanded_path(push: TablePush, step: float) -> FloatArray:
     """(N + 1, 2) finger centre, m, a row per `step` (s): rest, motion, rest."""
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     rows = int(np.ceil((pace.duration + 2 * REST) / PERIOD)) * round(PERIOD / step)

@@ -69,13 +69,17 @@ class Robot(DrivenBlock):
             ),
         )
         monkeypatch.setattr(
-            diagnosis, "learning", lambda effects: lambda trials, seed: SimpleNamespace(belief=effects)
+            diagnosis,
+            "learning",
+            lambda effects: lambda trials, seed: SimpleNamespace(belief=(effects, len(trials))),
         )
         self.compared: list[tuple[str, ...]] = []
         self.errors: dict[int, float] = {}
 
         def predict(belief, trials):
-            self.compared.append(belief)
+            effects, taught = belief
+            assert [trial.number for trial in trials] == [taught]  # learned from all pushes before it
+            self.compared.append(effects)
             errors = [
                 without if len(self.compared) % 2 == 0 else self.errors[trial.number] for trial in trials
             ]
@@ -189,7 +193,7 @@ def test_a_close_call_is_decided_by_as_many_pushes_again(monkeypatch, later, the
     assert robot.push(8, error=later) == replace(repair, trials=8) and stored == repair
     repair = robot.push(9, error=later)
     assert (repair.findings[-1].verdict, actions(repair)) == ("tried", ["adopts", "keeps", then])
-    assert repair.tried is None and len(robot.compared) == 4
+    assert repair.tried is None and len(robot.compared) == 2 * (2 + 4)
 
 
 @pytest.mark.parametrize("verdict", ["undecided", "unknown"])
@@ -200,7 +204,7 @@ def test_an_open_answer_leaves_an_effect_on_trial_to_its_test(monkeypatch, verdi
     repair = robot.push(6, alarm=True, error=error)
     assert repair.effects == ("tether",) and repair.tried == repair.findings[0]
     repair = robot.push(7, error=error)
-    assert robot.asked == [5, 6] and robot.compared == [("tether",), ()]
+    assert robot.asked == [5, 6] and robot.compared == [("tether",), ()] * 2
     assert (repair.findings[-1].verdict, repair.findings[-1].action) == ("tried", then)
     assert repair.effects == (("tether",) if then == "keeps" else ())
     assert repair.tried is None
@@ -213,11 +217,14 @@ def test_an_effect_on_trial_is_dropped_where_nothing_is_missing(monkeypatch):
     assert (repair.effects, repair.tried, actions(repair)) == ((), None, ["adopts", "drops"])
 
 
-def test_an_effect_that_is_named_again_is_kept(monkeypatch):
+@pytest.mark.parametrize(("error", "then"), [(0.001, "keeps"), (0.07, "drops")])
+def test_an_effect_that_is_named_again_is_kept_and_still_tested(monkeypatch, error, then):
     robot = Robot(monkeypatch, ("effect", ("table_tilt",)), ("ambiguous", ("tether", "table_tilt")))
     wanted = robot.push(5, alarm=True).wanted
-    repair = robot.push(6, alarm=True)
+    repair = robot.push(6, alarm=True, error=error)
     assert (repair.effects, actions(repair), repair.wanted) == (("table_tilt",), ["adopts", "keeps"], wanted)
+    repair = robot.push(7, error=error)
+    assert (repair.findings[-1].verdict, actions(repair)) == ("tried", ["adopts", "keeps", then])
 
 
 def test_pushes_of_an_earlier_process_are_settled(monkeypatch):
@@ -291,7 +298,7 @@ def test_an_adopted_effect_has_to_lower_the_error_of_the_next_pushes(
     robot.push(5, alarm=True)
     for count, error in enumerate(errors, 6):
         repair = robot.push(count, error=error)
-    assert actions(repair) == ["adopts", action] and robot.compared == [("tether",), ()]
+    assert actions(repair) == ["adopts", action] and robot.compared == [("tether",), ()] * len(errors)
     assert repair.effects == (("tether",) if action == "keeps" else ())
     assert repair.findings[-1].sentence.endswith(said)
     assert actions(robot.push(8)) == ["adopts", action]  # it was tried once and for all
@@ -375,5 +382,5 @@ def test_an_effect_is_tried_against_the_one_that_it_replaced(monkeypatch):
     robot.push(6, alarm=True)
     robot.push(7, error=0.01)
     repair = robot.push(8, error=0.01)
-    assert robot.compared == [("table_tilt",), ("tether",)]
+    assert robot.compared == [("table_tilt",), ("tether",)] * 2
     assert (repair.effects, actions(repair)) == (("tether",), ["adopts", "adopts", "drops"])

@@ -67,7 +67,8 @@ def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, An
 
 
 def _adapted(seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:
-    """Of the tilt, seed 0 is named, 1 is equivalent and 2 is not; else nothing is adopted."""
+    """Of the tilt, seed 0 is named, but late, 1 is equivalent and 2 is not; else nothing is adopted. The tilt
+    and the tether move pushes by more than 5 mm, the tether throws the object down."""
     adapting = robot == "adapting"
     effects = ["table_tilt" if seed == 0 else "tether"] if adapting and hidden == "tilt" else []
     errors = [(0.020, []), (0.030, []), (0.002 if seed < 2 else 0.015, effects)]
@@ -75,9 +76,12 @@ def _adapted(seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
         {"trial": k, "error": e, "moved": 0.1, "effects": given} for k, (e, given) in enumerate(errors, 1)
     ]
     fate = "held" if adapting or hidden != "tilt" else "fell"
-    repair = {"effects": effects, "findings": []} if adapting else None
+    findings = [{"action": "adopts", "pushes": 5}, {"action": "keeps", "pushes": 12}]
+    findings[0]["pushes"] = 11 if seed == 0 else 10
+    repair = {"effects": effects, "findings": findings if effects else []} if adapting else None
+    shifts = {"tilt": [4e-3, 6e-3, 7e-3], "tether": [1e-3, None, None]}.get(hidden, [4.9e-3] * 3)
     return {"fate": fate, "pushes": [{}] * (2 if adapting else 3), "reason": "", "yaw": 0.0,
-            "judged": judged, "repair": repair}  # fmt: skip
+            "judged": judged, "repair": repair, "shifts": shifts if adapting else []}  # fmt: skip
 
 
 def _campaign(figure: str, folder: Path, objects: Sequence[str], trials: int) -> tuple[int, dict[str, Any]]:
@@ -261,12 +265,17 @@ def test_what_a_robot_that_adapts_adopts(tmp_path: Path, capsys: pytest.CaptureF
     code, document = _campaign("adapt", tmp_path, ["book"], 3)
     assert code == 0
     told = document["hidden"]
-    assert set(told) == set(adaptation.HIDDEN)
+    assert set(told) == {*adaptation.HIDDEN, "all effects"}
     assert told["tilt"]["answers"] == {"named": 1, "equivalent": 1, "other": 1, "none": 0}
     assert [told[name]["right"]["value"] for name in ("tilt", "nothing", "film")] == [2 / 3, 1.0, 0.0]
     errors = told["tilt"]["errors"]
     assert (errors["before"]["value"], errors["before"]["count"]) == (pytest.approx(0.25), 3)
-    assert errors["ratio"]["value"] == pytest.approx((0.08 + 0.08 + 0.6) / 3)
+    assert errors["ratio"] == pytest.approx(0.08)
+    assert told["film"]["errors"]["ratio"] is None
+    assert [told[name]["needed"] for name in ("tilt", "tether", "film", "all effects")] == [3, 3, 0, 6]
+    assert told["tilt"]["right_where_needed"]["value"] == 1 / 3  # the one named came late
+    assert told["all effects"]["right_where_needed"]["value"] == 1 / 6
+    assert told["all effects"]["right"]["value"] == 2 / 15 and told["film"]["right_where_needed"] is None
     held = told["tilt"]["held"]
     assert (held["adapting"]["value"], held["plain"]["value"]) == (1.0, 0.0)
     assert told["tilt"]["pushes"]["plain"]["value"] == 3.0

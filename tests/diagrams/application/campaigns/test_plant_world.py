@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from slipmap.diagrams.application.campaigns import plant_world
+from slipmap.diagrams.application.campaigns.adaptation import FIRST, HIDDEN, shifts_of_ends
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, finger_path
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, commanded_path
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
-from slipmap.models.geometry import placed, turn
+from slipmap.models.geometry import compose, placed, relative, turn
 from slipmap.models.inference.observations import observe
 from slipmap.models.measurements.push_dataset import Noise
-from slipmap.models.measurements.trial import Trial
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.rollout import Push, Slider
 from slipmap.planners.exploration import candidate_pushes
@@ -25,6 +30,7 @@ from slipmap.planners.table_push import TablePush
 
 EXACT = WorldNoise(control=0.0, sensors=Noise(), camera=100.0)
 POSE = np.array([-0.05, 0.02, 2.9])
+STEEP = HiddenEffectsConfig(table_tilt=TableTilt(down_x=0.4))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +112,7 @@ def test_pushes_near_balance_and_over_the_rim_are_those_of_the_model(name, pose,
     asked = TablePush(np.array(begin), np.array(end), speed)
     trial = world.push(asked)
     thing = world.true_object
-    push = Push(2e-3, finger_path(asked, 2e-3), np.array(pose))
+    push = Push(2e-3, commanded_path(asked, 2e-3), np.array(pose))
     slider = Slider(thing.grid, world.finger_radius, table=world.table)
     expected = slider.rollout(thing.maps, [push]).end[0, 0, :3]
     off = placed(thing.grid.centers, trial.object_pose.values[-1]) - placed(thing.grid.centers, expected)
@@ -125,7 +131,7 @@ def test_force_is_that_of_the_finger_on_the_object(exact: PlantWorld, pushed: Ca
 
 
 def test_finger_is_where_it_was_told_to_be(exact: PlantWorld, pushed: Callable[[int], Trial]) -> None:
-    path = finger_path(_push(exact, 0), 0.01)
+    path = commanded_path(_push(exact, 0), 0.01)
     off = np.linalg.norm(pushed(0).tip_pose.values - path, axis=1)
     assert off.max() < 2e-5
 
@@ -244,16 +250,56 @@ def test_refuses_to_come_down_on_the_object(exact: PlantWorld) -> None:
 
 
 def test_hidden_effects_act() -> None:
-    slope = HiddenEffectsConfig(table_tilt=TableTilt(down_x=0.4))
-    world = PlantWorld(benchmark_object("hammer"), noise=EXACT, hidden=slope)
+    world = PlantWorld(benchmark_object("hammer"), noise=EXACT, hidden=STEEP)
     world.reset(POSE, np.random.default_rng(0))
     world.push(TablePush(np.array([0.3, 0.3]), np.array([0.31, 0.3]), 0.1))
     with pytest.raises(ObjectFell):
         world.look()
 
 
+def test_a_recorded_push_ends_the_same_when_it_is_replayed(
+    exact: PlantWorld, pushed: Callable[[int], Trial]
+) -> None:
+    trial = pushed(0)
+    start, end = trial.object_pose.values[[0, -1]]
+    assert np.hypot(*(end - start)[:2]) > 0.02
+    exact.reset(np.zeros(3), np.random.default_rng(0))
+    np.testing.assert_allclose(exact.replayed(trial, start), end, atol=2e-4)
+    world = PlantWorld(benchmark_object("hammer"), noise=EXACT, hidden=STEEP)
+    assert np.isnan(world.replayed(trial, start)).all()
+
+
+def test_how_far_hidden_effects_move_the_ends_of_recorded_pushes(
+    exact: PlantWorld, pushed: Callable[[int], Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera sees the object in a frame of its own."""
+
+    class Replays:
+        def __init__(self, true_object: TrueObject, *, hidden: HiddenEffectsConfig | None) -> None:
+            self._fall = hidden is STEEP
+            self._end = np.array([0.0, 0.0, 0.0] if hidden is None else [0.003, 0.004, 0.0])
+
+        def replayed(self, trial: Trial, pose: np.ndarray) -> np.ndarray:
+            np.testing.assert_allclose(pose, true_start, atol=1e-12)
+            return np.full(3, np.nan) if self._fall else self._end
+
+    monkeypatch.setattr(plant_world, "PlantWorld", Replays)
+    true = pushed(0).object_pose
+    true_start = true.values[0]
+    X_SO = np.array([0.02, -0.01, 0.5])
+    X_OS = relative(X_SO, np.zeros(3))
+    seen = np.array([compose(X_WO, X_OS) for X_WO in true.values])
+    trial = replace(pushed(0), object_pose=Channel(true.time, seen))
+    run = SimpleNamespace(
+        true_object=exact.true_object, X_SO=X_SO, dataset=SimpleNamespace(trials=[trial] * (FIRST + 1))
+    )
+    assert shifts_of_ends(run, HIDDEN["film"]) == pytest.approx([0.005] * FIRST)
+    assert shifts_of_ends(run, STEEP) == [None] * FIRST
+    assert shifts_of_ends(run, HIDDEN["latency"]) == [0.0] * FIRST
+
+
 def test_path_has_the_speed_asked_for() -> None:
-    path = finger_path(TablePush(np.zeros(2), np.array([0.03, 0.04]), 0.05), 2e-3)
+    path = commanded_path(TablePush(np.zeros(2), np.array([0.03, 0.04]), 0.05), 2e-3)
     speed = np.hypot(*np.diff(path, axis=0).T) / 2e-3
     assert speed.max() == pytest.approx(0.05)
     np.testing.assert_allclose(path[[0, -1]], [[0, 0], [0.03, 0.04]], atol=1e-12)
