@@ -515,22 +515,22 @@ def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) 
     worth = [np.isfinite(o.push.tip).all() for o in likelihood.observations]
     if not any(worth):
         return None
-    norms = np.array([
-        float(np.linalg.norm(likelihood.whiteners[b](row.pose[..., None], row.force[..., None])))
+    off = np.array([
+        float(np.sqrt((likelihood.whiteners[b](row.pose[..., None], row.force[..., None]) ** 2).mean()))
         for b, row in enumerate(rows)
     ])  # fmt: skip
-    worst = int(np.argmax(np.where(worth, norms, -1.0)))
+    worst = int(np.argmax(np.where(worth, off, -1.0)))
     observation = likelihood.observations[worst]
     repeated = _repeated(observation, dataset)
     if repeated is None:
         return None
     depends = (diagnosis.depends_on or "").split(":")[0]
     changed, what = _changed(repeated, depends, habits)
-    asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
+    asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(off[worst])}
     trial = observation.trial
     return asked | {
         "sentence": f"Repeat push {trial}, which the model predicts worst"
-        f" ({norms[worst]:.0f} standard deviations off), {what}. {_how_to(asked, dataset.grid)}"
+        f" ({off[worst]:.1f} times the expected error), {what}. {_how_to(asked, dataset.grid)}"
         " If the error changes, it depends on what you changed; if not, it does not."
     }
 

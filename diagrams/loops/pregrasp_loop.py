@@ -239,13 +239,14 @@ class PregraspRun:
                 }
             )
         grasps = [plan.grasp for plan in self.plans if plan.grasp is not None]
+        wanted = self.options.exploration
         return {
             "method": self.options.method,
             "seed": self.options.exploration.seed,
             "held": self.held,
             "fate": self.fate,
             "reason": self.reason,
-            "explorations": self.explorations - self.options.exploration.checks,
+            "explorations": max(self.explorations - wanted.checks, min(self.explorations, wanted.pushes)),
             "pushes": rows,
             "grasp": None if not grasps else plain(grasps[-1].grasp.at(grasps[-1].pose)),
             "true_height": self.true_height,

@@ -89,7 +89,8 @@ class Repair:
 
     @classmethod
     def of_run(cls, stored: dict[str, Any]) -> Repair:
-        """Restore what `to_run` stored. If the last push left a question, it is diagnosed again to ask it.
+        """Restore what `to_run` stored. If the last push left a question, it is diagnosed again to ask it;
+        the question of effects on trial is lost.
 
         Raises:
             KeyError, TypeError: the data is not a stored `Repair`.
@@ -133,7 +134,7 @@ class Diagnosis(PythonSystem):
 
     Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
     way and at the end, than one without, both learned from all pushes before each, the effects are dropped;
-    after a first close call, only if as many pushes again say so. If these pushes surprise, all pushes are
+    after a first close call, only if these and as many pushes again say so. If these pushes surprise, all are
     diagnosed again, and an effect that is no longer named is dropped, unless the new verdict is undecided or
     unknown and the test is still to come or was passed. An exception raised by a diagnosis becomes its
     finding, and the robot continues with its present model.
@@ -231,7 +232,7 @@ class Diagnosis(PythonSystem):
         if found.verdict in ("effect", "ambiguous"):
             # Effects of the force sensor alone leave an empty rival, the simplest: nothing needs adopting.
             simplest = min(found.rivals, key=lambda rival: sum(size for _, size in rival))
-            sets = [{name for name, _ in rival} for rival in found.rivals]
+            sets = [{name for name, _ in rival} - set(self._given) for rival in found.rivals]
             named = tuple(name for name, _ in simplest if name not in self._given)
             if not named and set(repair.effects) - set(self._given) in sets:  # still in the running
                 named = tuple(name for name in repair.effects if name not in self._given)

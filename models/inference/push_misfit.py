@@ -22,6 +22,9 @@ from slipmap.models.inference.prediction import drawn_ends, model_deviations
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
+_LEAST_FORCE = 0.01
+"""N; smallest standard deviation of a force due to the model."""
+
 
 def pose_noise(position: float, angle: float) -> SensorNoise:
     """Noise of observed poses: standard deviations of x and y each, m, and of θ, rad. The noise of a mean
@@ -104,7 +107,9 @@ def resting_misfit(
         expected = probability @ every
         r = np.concatenate([r, measured - expected])
         spread = np.hstack([spread, every - expected])
-        sigma = np.append(sigma, 2 * [np.hypot(error.force * np.hypot(*expected), error.noise.force)])
+        # A finger that misses in all hypotheses leaves no other error of its force.
+        beta = max(error.force * float(np.hypot(*expected)), _LEAST_FORCE)
+        sigma = np.append(sigma, 2 * [np.hypot(beta, error.noise.force)])
     covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
     n = len(r)

@@ -347,7 +347,8 @@ class Together:
                 if self.is_shared(effects[i]):
                     normals, slopes = zip(*said[i], strict=True)
                     said[i] = [(np.sum(normals, axis=0), np.sum(slopes, axis=0))]
-                gains[i].append(np.sum([_fall(normal, slope) for normal, slope in said[i]], axis=0))
+                allowed = effects[i].signs[effects[i].amplitudes]
+                gains[i].append(np.sum([_fall(normal, slope, allowed) for normal, slope in said[i]], axis=0))
                 occam[i].append(sum(_occam(normal) for normal, _ in said[i]))
         by_start = [np.array(own) for own in gains]
         chance = np.max([own[:, 2:].max(axis=0) for own in by_start], axis=0)
@@ -579,7 +580,11 @@ def _occam(normal: FloatArray) -> float:
     return 0.5 * float(np.linalg.slogdet(normal + np.eye(len(normal)))[1])
 
 
-def _fall(normal: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Drop in cost, prior included, by the best step from zero, for each column of slopes (c, 1 + D)."""
-    step = np.linalg.solve(normal + np.eye(len(slopes)), slopes)
-    return np.asarray(0.5 * (slopes * step).sum(axis=0))
+def _fall(normal: FloatArray, slopes: FloatArray, allowed: FloatArray) -> FloatArray:
+    """Drop in cost, prior included, by the best step from zero, for each column of slopes (c, 1 + D).
+
+    A step to an amplitude of the wrong sign, such as a negative drag, explains nothing; see `Effect.signs`.
+    """
+    step = -np.linalg.solve(normal + np.eye(len(slopes)), slopes)
+    wrong = (step * allowed[:, None] < 0.0).any(axis=0)
+    return np.where(wrong, 0.0, -0.5 * (slopes * step).sum(axis=0))

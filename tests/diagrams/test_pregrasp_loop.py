@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,6 +47,15 @@ def test_every_push_is_recorded_and_told(taken):
     assert np.hypot(*off[:2]) < 0.018
     assert np.hypot(*told["grasp"][:2]) > 0.4  # the pins' ends are at the edge
     assert told["grasp"][2] == pytest.approx(taken.plans[-1].grasp.grasp.height / 2)
+
+
+def test_explorations_are_counted_without_checks_also_where_a_run_ends_early(taken):
+    def told(made, pushes, checks):
+        wanted = replace(taken.options.exploration, pushes=pushes, checks=checks)
+        options = replace(taken.options, exploration=wanted)
+        return replace(taken, explorations=made, options=options).to_json()["explorations"]
+
+    assert [told(*one) for one in [(5, 5, 0), (8, 5, 3), (8, 5, 0), (1, 1, 3), (3, 2, 3)]] == [5, 5, 8, 1, 2]
 
 
 def test_true_maps_lie_over_the_cells_that_were_seen():

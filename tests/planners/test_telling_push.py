@@ -285,6 +285,8 @@ def test_unknown_repeats_the_worst_push_with_one_thing_changed(world: World, pro
     moved = not np.allclose(told["pose"], recorded.start_pose)
     assert moved == (probe in ("force_by_place", "friction_by_direction"))
     push_of(told)
+    # The model fits; the worst of six pushes has about the expected error, however many rows it has.
+    assert 0.3 < told["separation"] < 3.0 and "times the expected error" in told["sentence"]
 
 
 def test_nothing_to_find_out(world: World) -> None:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from slipmap.models.blas import one_blas_thread
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, EffectError
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.effects.registry import candidates_given
@@ -236,6 +236,11 @@ class Inquiry:
         measured = any(observation.sliding.any() for observation in observations)
         # Without measured forces, nothing can be learned about the force sensor.
         effects = tuple(effect for effect in effects if measured or not effect.only_force)
+        if not effects:
+            raise EffectError(
+                "diagnose: no candidate is left: only effects of the force sensor were asked for, but no"
+                " force was measured; name another effect"
+            )
         self.effects = effects
         self.fault = fault_of_frame(dataset, dataset.trials)
         self.draws = draws

@@ -572,11 +572,10 @@ class _Inquiry:
         leading = kept[:1] or judged[:1]
         sized, first = wrong_sizes([e.name for one in leading for e in one.fit.effects], self.datasets)
         shared = best is not None and is_shared(best.fit.effects[0], self.apart)
-        largest = max((c.first_gain for c in candidates), default=0.0)
         return JointDiagnosis(
             answer.verdict, " ".join([answer.sentence, *sized]), answer.effects, shared,
             tuple(p for one in kept for p in self._estimates(one)), candidates,
-            next((c.p_value for c in candidates if c.first_gain == largest), None),
+            min((c.p_value for c in candidates if c.p_value is not None), default=None),
             self._by_dataset(best), None if best is None else best.fall,
             {} if answer.verdict == "adequate" else {d.name: doubts_of_check(d) for d in self.datasets},
             0.0, self.seed, answer.together, tuple(sorted(self.apart)),

@@ -11,7 +11,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.push_errors import Paired
+from slipmap.models.inference.push_errors import LEAST_MISFIT, Paired
 from slipmap.models.inference.results import Identification, holds_null
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -411,8 +411,8 @@ def _far_behind(learned: Identification, after: LockedErrors) -> bool:
 
 
 def typical_misfit(misfit: FloatArray) -> float:
-    """Geometric mean of the pushes' misfits (L,); 0 without pushes."""
-    return float(np.exp(np.log(misfit).mean())) if len(misfit) else 0.0
+    """Geometric mean of the pushes' misfits (L,), each at least `LEAST_MISFIT`; 0 without pushes."""
+    return float(np.exp(np.log(np.maximum(misfit, LEAST_MISFIT)).mean())) if len(misfit) else 0.0
 
 
 def far_above_noise(misfit: FloatArray) -> float | None:

@@ -51,8 +51,11 @@ class Robot(DrivenBlock):
             if isinstance(answer, Exception):
                 raise answer
             verdict, effects, *p = answer
-            named = effects_named(effects)
-            rivals = [(effect,) for effect in named] if verdict == "ambiguous" else [named] if named else []
+            if verdict == "rivals":
+                verdict, rivals = "ambiguous", [effects_named(rival) for rival in effects]
+            else:
+                named = effects_named(effects)
+                rivals = [(one,) for one in named] if verdict == "ambiguous" else [named] if named else []
             rivals = [SimpleNamespace(effects=tuple(rival)) for rival in rivals]
             gains = [("force_latency", 0.01), ("table_tilt", p[0] if p else 0.01), ("tether", 1.0)]
             candidates = [SimpleNamespace(name=name, p_value=chance) for name, chance in gains]
@@ -255,6 +258,15 @@ def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
     repair = robot.push(8, alarm=True)
     assert repair.effects == ("table_tilt",)
     assert actions(repair) == ["adopts", "pushes on", "drops", "goes on without"]
+
+
+def test_an_adopted_effect_beside_a_given_one_is_still_in_the_running(monkeypatch):
+    """The simplest answer is the given effect alone; another one, both."""
+    answers = [("effect", ("tether", "table_tilt")), ("rivals", (("table_tilt",), ("table_tilt", "tether")))]
+    robot = Robot(monkeypatch, *answers, effects=("table_tilt",))
+    assert robot.push(5, alarm=True).effects == ("table_tilt", "tether")
+    repair = robot.push(6, alarm=True)
+    assert (repair.effects, actions(repair)) == (("table_tilt", "tether"), ["adopts", "keeps"])
 
 
 @pytest.mark.parametrize("effects", [(), ("table_tilt",)])

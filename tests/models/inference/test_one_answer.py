@@ -61,6 +61,14 @@ def test_the_ratio_of_misfits_is_paired_over_pushes():
     assert alone.verdict == "undecided" and alone.to_json()["high"] is None
 
 
+def test_a_push_without_any_error_does_not_outweigh_the_others():
+    """Such as one that touches nothing before an exact tracker."""
+    before, after = np.array([11.0, 30.0, 45.0, 6.2, 0.0]), np.array([1.1, 1.0, 1.0, 1.0, 0.007])
+    assert Paired.of(before, after).verdict == "for"
+    assert Paired.of(np.array([5.0, 5.0, 5.0, 1e-3]), np.array([5.2, 5.2, 5.2, 1e-6])).ratio > 1.0
+    assert Paired.of(np.zeros(3), np.zeros(3)).ratio == 1.0
+
+
 def test_ends_and_their_intervals_are_told(learned):
     for push, told in zip(learned.pushes, learned.to_json()["trials"], strict=True):
         low, high = np.array(told["predicted_end_low"]), np.array(told["predicted_end_high"])

@@ -158,6 +158,15 @@ def test_a_force_that_no_hypothesis_tells_is_a_misfit_where_the_end_is_none() ->
     assert usual > 0.3 and rare < 1e-3
 
 
+@pytest.mark.parametrize(("measured", "surprising"), [((2.0, 0.5), True), ((0.0, 0.0), False)])
+def test_a_finger_that_misses_in_every_hypothesis(measured, surprising) -> None:
+    still, half = np.zeros(3), np.full(2, 0.5)
+    error = ErrorModel(ERROR.noise, ERROR.motion, 0.1)
+    force = np.array(measured), np.zeros((2, 2))
+    misfit, p = resting_misfit(still, still, np.zeros((2, 3)), half, error, GRID, force)
+    assert np.isfinite(misfit) and (p < 1e-6) == surprising
+
+
 def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pushes: list[Push]) -> None:
     push = pushes[0]
     times = push.h * (np.arange(20) + 0.5) * (len(push.tip) - 1) / 20

@@ -111,6 +111,24 @@ def test_costs_and_slopes_are_those_of_both_datasets(parts):
     assert held + start @ direction[0] == pytest.approx(numeric, rel=1e-3)
 
 
+def test_an_amplitude_of_the_wrong_sign_gains_nothing(recorded):
+    class Rightwards(Shift):
+        name = "rightwards"
+        parameters = (Parameter("x", "m", "along x", 0.0, 0.1, 3e-3, 0.0),)
+
+    def gain(x):
+        dataset = shifted(recorded.dataset, x)
+        taught = Taught.of(dataset, observe_all(dataset, dataset.fit_trials), lambda done, total: None)
+        both = Together([taught]).first_gains(
+            [Shift(), Rightwards()], lambda done, total: None, 99, np.random.default_rng(0)
+        )
+        return {one.effect.name: one.gain for one in both}
+
+    left, right = gain(-2e-3), gain(2e-3)
+    assert left["shift"] > 1.0 and left["rightwards"] == 0.0
+    assert right["rightwards"] == pytest.approx(right["shift"], rel=0.05) and right["shift"] > 1.0
+
+
 def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
     datasets = [shifted(recorded.dataset, 2e-3), shifted(recorded.dataset.with_fit_pushes(3), 2e-3)]
     taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in datasets]
@@ -202,7 +220,9 @@ def test_signs_of_whole_pushes_turn_their_slopes_and_leave_the_prior_aside(parts
     assert slopes.shape == (1, 4) and slopes[0, 1] == pytest.approx(alone[0, 0])
     assert slopes[0, 0] != pytest.approx(alone[0, 0]) and slopes[0, 2] == pytest.approx(-alone[0, 0])
     assert abs(slopes[0, 3]) != pytest.approx(abs(alone[0, 0]), rel=1e-3)
-    assert _fall(normal, slopes)[1] == pytest.approx(0.5 * alone[0, 0] ** 2 / (normal[0, 0] + 1.0))
+    assert _fall(normal, slopes, np.zeros(1))[1] == pytest.approx(
+        0.5 * alone[0, 0] ** 2 / (normal[0, 0] + 1.0)
+    )
 
 
 def test_a_push_near_balance_counts_for_what_it_can_tell(recorded):

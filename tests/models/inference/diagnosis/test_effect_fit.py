@@ -105,3 +105,10 @@ def test_an_effect_whose_derivatives_overflow_is_refused_without_warnings() -> N
     dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=0)
     with pytest.raises(EffectError, match=r"explosive cannot be computed .* derivatives overflow"):
         identify(dataset, [Explosive()], hypotheses=2)
+
+
+def test_effects_of_a_force_sensor_that_measured_nothing_are_no_candidates() -> None:
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=0)
+    silent = replace(dataset, trials=tuple(replace(trial, ft_wrench=None) for trial in dataset.trials))
+    with pytest.raises(EffectError, match="no force was measured; name another effect"):
+        diagnose(silent, effects=["force_bias"], quick=True)

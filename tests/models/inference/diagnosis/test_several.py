@@ -58,7 +58,7 @@ def given(monkeypatch, datasets, **options):
 
 def test_a_lag_that_two_datasets_share_is_named(diagnosed):
     found = diagnosed
-    assert found.p_value == found.candidates[0].p_value < 0.03
+    assert found.p_value == min(one.p_value for one in found.candidates) < 0.03
     assert found.effect == "sensor_latency" and found.shared
     (latency,) = found.parameters
     assert latency.low < 0.03 < latency.high and latency.high - latency.low < 0.02

@@ -203,7 +203,13 @@ def test_a_rival_that_something_speaks_against_leaves_the_set():
 
 
 @pytest.mark.parametrize(
-    ("misfit", "far"), [((1.4, 1.5, 1.6), False), ((1.4, 1.4, 12.0), False), ((9.0, 11.0, 35.0), True)]
+    ("misfit", "far"),
+    [
+        ((1.4, 1.5, 1.6), False),
+        ((1.4, 1.4, 12.0), False),
+        ((9.0, 11.0, 35.0), True),
+        ((9.0, 11.0, 35.0, 1e3, 0.0), True),  # one push touched nothing
+    ],
 )
 def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
     found = far_above_noise(np.array(misfit))
