@@ -206,15 +206,23 @@ def _robust(square: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, Fl
 
 @overflowing()
 def whitened_rows(
-    likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]
+    likelihood: CorrelatedLikelihood, rows: Sequence[Linearised], offsets: FloatArray
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, with its unknown start as noise."""
+    """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, with its unknown start as noise.
+
+    Args:
+        likelihood: that whitens.
+        rows: of each push, at its start offset.
+        offsets: (B, 3) these offsets. As noise, a start has mean zero, so they are taken out of the residuals
+            to first order.
+    """
     jacobians, residuals = [], []
     for b, push in enumerate(rows):
         white = push.whitened(likelihood.whiteners[b])
         start = white[:, -4:-1] * likelihood.start_sigma[b]
         factor = np.linalg.cholesky(np.eye(len(white)) + start @ start.T)
-        rest = np.concatenate([white[:, :-4], white[:, -1:]], axis=1)
+        at_zero = white[:, -1] - white[:, -4:-1] @ offsets[b]
+        rest = np.concatenate([white[:, :-4], at_zero[:, None]], axis=1)
         rest = scipy.linalg.solve_triangular(factor, rest, lower=True, check_finite=False)
         jacobians.append(rest[:, :-1])
         residuals.append(rest[:, -1])

@@ -270,7 +270,7 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
     @cache
     def score(motion: float, force: float) -> float:
         likelihood = CorrelatedLikelihood(prior, data, ErrorModel(noise, motion, force))
-        jacobians, residuals = whitened_rows(likelihood, rows)
+        jacobians, residuals = whitened_rows(likelihood, rows, fitted.offsets)
         equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
         own = equations.scores(columns, precision, pull)[0][:, 0]
         return float(own.sum()) - log_determinant(likelihood, rows)

@@ -220,7 +220,7 @@ def _stacked(
             own = [e.name for e in everything if e not in LIBRARY and e not in PROBES]
             model = f"the model with {', '.join(own) or 'all effects'}"
             raise EffectError(f"{model} cannot be computed on these pushes: {error}") from error
-        white, rest = whitened_rows(likelihood, rows)
+        white, rest = whitened_rows(likelihood, rows, fitted.offsets)
         residuals = residuals or rest
         for parts, J in zip(jacobians, white, strict=True):
             parts.append(J)

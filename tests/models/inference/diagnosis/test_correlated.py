@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import slipmap
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData, whitened_rows
+from slipmap.models.inference.diagnosis.fitting import Fitter
 from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
@@ -109,12 +111,26 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded, thinned) -> N
     z[2 * r + 1] = log_mu.mean() / s.friction_scale
     z[r : 2 * r] = np.linalg.lstsq(s.split * basis, relative_mass - s.mass_share * load, rcond=None)[0]
     z[prior.plain - 1] = np.log(0.3 / s.finger_friction_mean) / s.finger_friction
-    _, residuals = whitened_rows(likelihood, likelihood.rows(z, np.zeros((len(observations), 3))))
+    offsets = np.zeros((len(observations), 3))
+    _, residuals = whitened_rows(likelihood, likelihood.rows(z, offsets), offsets)
     # Poses alone: forces depend on the rattling of a finger path that is known with noise.
     for half in (slice(None, len(trials)), slice(len(trials), None)):
         pairs = zip(residuals[half], observations[half], strict=True)
         poses = np.concatenate([r[: 3 * len(o.poses)] for r, o in pairs])
         assert np.sqrt(np.median(poses**2)) == pytest.approx(0.6745, rel=0.25)
+
+
+def test_at_the_best_fit_the_prior_balances_the_data_whatever_the_starts_are() -> None:
+    """With the starts as noise, as with the starts fitted."""
+    dataset, _ = slipmap.simulated_hammer(seed=1, fit=4, heldout=0)
+    fitter = Fitter(dataset, observe_all(dataset), sensor_noise(dataset))
+    best = fitter.from_scratch(lambda *told: None)
+    likelihood = best.likelihood
+    assert np.abs(best.offsets / likelihood.start_sigma).max() > 0.3
+    rows = likelihood.rows(best.z, best.offsets)
+    slope = sum(J.T @ r for J, r in zip(*whitened_rows(likelihood, rows, best.offsets), strict=True))
+    pull = best.z - best.prior_mean
+    assert np.linalg.norm(slope + pull) < 0.02 * np.linalg.norm(pull)
 
 
 def rarer(channel: Channel, thinned: int) -> Channel:
