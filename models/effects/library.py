@@ -335,9 +335,15 @@ class LooseMass(Effect):
     memory = ("lag_x", "lag_y", "rush_x", "rush_y")
 
     def _pull(self, body: Any, p: Any) -> tuple[Any, Any]:
-        """World acceleration that spring and damper give the loose part, which lags by lag_x, lag_y."""
+        """World acceleration that spring and damper give the loose part, which lags by lag_x, lag_y.
+
+        It is that in the middle of the step if nothing else holds the rest of the object (trapezoidal rule),
+        which is stable for every rate: at its old value, a stiff spring would create energy.
+        """
+        stiffness, damper = p.rate**2, 2 * p.damping * p.rate + body.step * p.rate**2 / 2
+        slower = 1 + body.step * damper / (2 * (1 - p.share))
         return tuple(
-            -(p.rate**2) * lag - 2 * p.damping * p.rate * rush
+            -(stiffness * lag + damper * rush) / slower
             for lag, rush in ((body.lag_x, body.rush_x), (body.lag_y, body.rush_y))
         )
 
@@ -352,8 +358,8 @@ class LooseMass(Effect):
         ax, ay = self._pull(before, p)
         rush_x = before.rush_x + before.step * ax - (after.com_vx - before.com_vx)
         rush_y = before.rush_y + before.step * ay - (after.com_vy - before.com_vy)
-        lag_x = before.lag_x + before.step * rush_x
-        return lag_x, before.lag_y + before.step * rush_y, rush_x, rush_y
+        lag_x = before.lag_x + before.step * (before.rush_x + rush_x) / 2
+        return lag_x, before.lag_y + before.step * (before.rush_y + rush_y) / 2, rush_x, rush_y
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         return [{"rate": rate, "damping": damping} for rate in (6.0, 15.0, 35.0) for damping in (0.1, 0.5)]

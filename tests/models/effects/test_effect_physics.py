@@ -308,6 +308,19 @@ def test_natural_frequency_of_a_loose_mass() -> None:
     assert speed[60 : 60 + round(3 * period / h)].mean() == pytest.approx(mean, rel=0.02)
 
 
+@pytest.mark.parametrize("values", [(0.8, 60.0, 0.5), (0.9, 35.0, 0.5), (0.9, 120.0, 0.2), (0.3, 120.0, 2.0)])
+def test_a_stiff_loose_mass_slides_alike_at_every_time_step(values) -> None:
+    """Its spring swings faster than a step of a slow push can follow, and must create no energy."""
+    ends = []
+    for h in (0.001, 0.005, 0.01):
+        steps = round(0.6 / h)
+        push = Push(h, np.full((steps + 1, 2), np.nan), np.zeros(3), start_twist=np.array([0.3, 0.0, 1.0]))
+        out = slide([EFFECTS["loose_mass"]], list(values), push, grid=SQUARE, mass=MASS, mu=0.03)
+        ends.append(out.poses[0, -1, :2])
+    assert 0.05 < ends[0][0] < 0.3**2 / (2 * 0.03 * G)
+    np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=2e-3)
+
+
 def test_moment_balance_of_load_transfer() -> None:
     """The cells' loads carry the weight and balance the moment of a force above the table."""
     high, force, weight, width = 0.02, np.array([0.4, -0.3]), MASS * G, 0.01
