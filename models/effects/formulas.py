@@ -66,7 +66,8 @@ class Slots:
         self.factor, self.drag, self.delay, self.force_delay = one, zero, zero, zero
         self.renewed: list[Any] = []
         self.measured, self.felt = list(pose), list(push)
-        stretch, inertia, compliance = [one, zero, one], one, zero
+        inertia, compliance = one, zero
+        shapes: list[list[Any]] = []
         blades: list[Any] = []
         pyramids: list[list[Any]] = []
         cone: Any = one
@@ -83,10 +84,7 @@ class Slots:
             cell = Names(f"effect {e.name}: cell", cell_names(known))
             self.factor *= (ask("friction", 1, cell, p) or [one])[0]
             self.drag += (ask("drag", 1, cell, p) or [zero])[0]
-            shape = ask("stretch", 3, cell, p) or [one, zero, one]
-            stretch = [
-                total + value - base for total, value, base in zip(stretch, shape, (1, 0, 1), strict=True)
-            ]
+            shapes += [shape] if (shape := ask("stretch", 3, cell, p)) else []
             fx, fy, torque = ask("force", 3, body, p) or [zero, zero, zero]
             added = (*_turned(known, fx, fy), torque)
             wrench = [total + value for total, value in zip(wrench, added, strict=True)]
@@ -125,7 +123,7 @@ class Slots:
         self.blades, self.pyramids = len(blades) // 4, len(pyramids)
         edges = [cone, *(number for entry in pyramids for number in entry)] if pyramids else []
         self.body = [*wrench, inertia, compliance, *blades, *edges]
-        self.stretch = [sp.sympify(entry) for entry in stretch]
+        self.stretch = [sp.sympify(entry) for entry in _combined(shapes)]
         self.measures, self.feels = self.measured != pose, self.felt != push
         self.stretches = self.stretch != [one, zero, one]
         formulas = [*self.body, *self.cell, *self.renewed, *self.reports]
@@ -188,6 +186,20 @@ def _downhill(effects: Sequence[Effect], force: Sequence[sp.Symbol]) -> list[Any
         own = _ask(e, "downhill", 2, body, _parameters(e)) or total[:0]
         total = [before + part for before, part in zip(total, own, strict=True)] if own else total
     return total
+
+
+def _combined(shapes: Sequence[Sequence[Any]]) -> Sequence[Any]:
+    """q_xx, q_xy, q_yy of several stretches together: determinants multiply, traceless parts A add.
+
+    With s² = det + |A|², Q = s 1 + A has the eigenvalues s ± |A|, so it is positive definite as each Q is,
+    and to first order in the stretches it is 1 + Σ (Q - 1).
+    """
+    if len(shapes) < 2:
+        return shapes[0] if shapes else (1, 0, 1)
+    det = sp.prod(xx * yy - xy**2 for xx, xy, yy in shapes)
+    along, across = sum((xx - yy) / 2 for xx, _, yy in shapes), sum(xy for _, xy, _ in shapes)
+    middle = sp.sqrt(det + along**2 + across**2)
+    return middle + along, across, middle - along
 
 
 def _turned(known: Mapping[str, Any], x: Any, y: Any) -> tuple[Any, Any]:

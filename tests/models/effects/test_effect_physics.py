@@ -308,6 +308,24 @@ def test_natural_frequency_of_a_loose_mass() -> None:
     assert speed[60 : 60 + round(3 * period / h)].mean() == pytest.approx(mean, rel=0.02)
 
 
+@pytest.mark.parametrize(("direction", "sign"), [((1.0, 0.0), 1.0), ((0.0, 1.0), -1.0)])
+def test_two_grains_along_one_axis_add_up_and_two_across_each_other_cancel(direction, sign) -> None:
+    """Q has the determinant 1 and the sum of both deviations from a multiple of 1."""
+    rho, mu, speed = 0.6, 0.3, 0.4
+    names = ("anisotropic_table", "anisotropic_object")
+    push = Push(
+        2e-4, np.full((2501, 2), np.nan), np.zeros(3), start_twist=speed * np.array([*direction, 0.0])
+    )
+    out = slide([EFFECTS[name] for name in names], [rho, 0.0, rho, 0.0], push, grid=SQUARE, mass=MASS, mu=mu)
+    deviation = 2 * 2 * rho / (1 - rho**2)
+    friction = mu * np.sqrt(np.sqrt(1 + deviation**2) + sign * deviation)
+    assert out.poses[0, -1, :2] @ direction == pytest.approx(speed**2 / (2 * friction * G), rel=5e-3)
+    opposed = slide(
+        [EFFECTS[name] for name in names], [rho, 0.0, -rho, 0.0], push, grid=SQUARE, mass=MASS, mu=mu
+    )
+    assert opposed.poses[0, -1, :2] @ direction == pytest.approx(speed**2 / (2 * mu * G), rel=5e-3)
+
+
 @pytest.mark.parametrize("values", [(0.8, 60.0, 0.5), (0.9, 35.0, 0.5), (0.9, 120.0, 0.2), (0.3, 120.0, 2.0)])
 def test_a_stiff_loose_mass_slides_alike_at_every_time_step(values) -> None:
     """Its spring swings faster than a step of a slow push can follow, and must create no energy."""
