@@ -385,8 +385,8 @@ class LoadTransfer(Effect):
         kx = cell.spread_xx * bx + cell.spread_xy * by
         ky = cell.spread_xy * bx + cell.spread_yy * by
         shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
-        # Cells that lift off carry nothing, and those in front carry that much more: the sum stays the
-        # weight. The eighth root is three square roots, which vectorise over cells.
+        # Cells that lift off carry nothing, and those in front carry that much more. The sum stays the weight
+        # if the mass is even. The eighth root is three square roots, which vectorise over cells.
         return 1 + shift / (1 + shift**8) ** sp.Rational(1, 8)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
