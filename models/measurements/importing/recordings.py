@@ -371,7 +371,10 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
 def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
     """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
-    found = {channel: mapped(source, channel, said.channels[channel]) for channel, source in sources.items()}
+    found = {
+        channel: mapped(source, channel, said.channels[channel], own=_is_own(source, channel, sources))
+        for channel, source in sources.items()
+    }
     steps = [f"{channel}: {text}" for channel, one in found.items() for text in one.done]
     doubts = [text for one in found.values() for text in one.doubts]
     tables = {channel: one.table for channel, one in found.items()}
@@ -438,6 +441,12 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags)
+
+
+def _is_own(source: Source, channel: str, sources: Mapping[str, Source]) -> bool:
+    """Whether a rotation in a channel's table is its own: not a finger's beside the object's poses."""
+    tracked = sources["object_pose"]
+    return channel == "object_pose" or (source.file, source.part) != (tracked.file, tracked.part)
 
 
 def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
