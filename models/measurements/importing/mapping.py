@@ -48,6 +48,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
 TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
 
 _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is unreliable
+_STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
 _LIFTED = 0.01  # m above the finger's pushing height
@@ -248,8 +249,9 @@ def _pose(
                 " to the table; is `up` right, and does the tracked frame lie flat?"
             )
     elif turn is not None:
+        down = _looks_down(frame, f"{source.where}: {name}") != up.startswith("-")
         # An angle about a downward axis has the opposite sign on the table.
-        theta = heading + channel.sign * (-turn if up.startswith("-") else turn)
+        theta = heading + channel.sign * (-turn if down else turn)
         axes = whole @ _about(up[-1], channel.sign * turn)
     else:
         theta = np.full(len(place), heading)
@@ -290,6 +292,21 @@ def _turns(
             f"{source.where}: which column is the object's angle, or its quaternion? {source.listed}"
         )
     return None
+
+
+def _looks_down(frame: FloatArray, where: str) -> bool:
+    """Whether the upward axis of a source points down on the table, given the (4, 4) pose of its frame.
+
+    Raises:
+        DatasetError: it is far from vertical, so that an angle about it is none on the table.
+    """
+    tilt = float(np.degrees(np.arccos(min(abs(frame[2, 2]), 1.0))))
+    if tilt > _STEEP:
+        raise DatasetError(
+            f"{where}: the z axis of `frame` is {tilt:.0f}° from the vertical, so the `angle` does not turn"
+            " about it; correct `frame` or `up`, or give the rotation as a `quaternion` or `rotation_vector`"
+        )
+    return bool(frame[2, 2] < 0.0)
 
 
 def _about(axis: str, angles: FloatArray) -> FloatArray:

@@ -248,3 +248,29 @@ def test_an_angle_about_an_axis_that_points_down_turns_the_other_way(tmp_path):
     )  # fmt: skip
     assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+@pytest.mark.parametrize("up", ["z", "-z"])
+def test_an_angle_in_a_frame_that_looks_down_turns_the_other_way(tmp_path, up):
+    """As of a camera above the table. `up: -z` turns the source over once more, before its frame does."""
+    turn = Rotation.from_euler("z", 30, degrees=True) * Rotation.from_euler("x", 180, degrees=True)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn.as_matrix(), [0.3, -0.2, 1.0]
+    side = 1.0 if up == "z" else -1.0
+    place, tip = (((one - [0.3, -0.2]) @ matrix[:2, :2]) * [1.0, side] for one in (TURNED[:, :2], TIP))
+    for frame in (matrix.tolist(), [0.3, -0.2, 1.0, *turn.as_quat().tolist()]):
+        trial = trial_of(
+            tmp_path, ["t", "a", "b", "c", "d", "e"],
+            [TIME, place, side * (np.radians(30.0) - TURNED[:, 2]), tip],
+            f"up: '{up}'\nframe: {frame}\nobject_pose: {{position: [a, b], angle: c}}\n"
+            "tip_pose: {position: [d, e]}\n",
+        )  # fmt: skip
+        assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+        assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_an_angle_in_a_frame_on_its_side_is_refused(tmp_path):
+    frame = [0.0, 0.0, 0.0, *Rotation.from_euler("x", 50, degrees=True).as_quat().tolist()]
+    says = f"frame: {frame}\ntip_pose: null\nobject_pose: {{position: [a, b], angle: c}}\n"
+    with pytest.raises(DatasetError, match=r"push\.csv: object_pose: .* 50° from the vertical"):
+        trial_of(tmp_path, ["t", "a", "b", "c"], [TIME, POSE], says)
