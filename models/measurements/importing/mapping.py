@@ -224,7 +224,7 @@ def _pose(
     known_height = position.shape[1] == 3
     if not known_height:
         position = np.column_stack([position, np.zeros(len(position))])
-        if up not in ("z", "-z") and channel.up:
+        if up not in ("z", "-z"):
             raise DatasetError(
                 f"{source.where}: {name}: with up: {up} the position needs x, y and z, not two columns"
             )

@@ -170,6 +170,13 @@ def test_motive_in_euler_angles(tmp_path):
     assert body.length == "m" and body.up == "y"
 
 
+def test_two_coordinates_of_a_motive_export_are_refused(tmp_path):
+    (tmp_path / "m.csv").write_text(motive("XYZ", "X,Y,Z", [(0, 40, 0)] * 20))
+    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {position: [x, z]}\ntip_pose: null\n")
+    with pytest.raises(DatasetError, match=r"m\.csv, b: object_pose: with up: y .* needs x, y and z, not two"):
+        import_dataset(tmp_path / "m.csv", tmp_path / "s.yaml")
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
