@@ -305,7 +305,7 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
     if name == "object_pose" and one.turn is not None and one.turn[0] == "angle":
         named["angle"] = _unit(one.turn[1][0], "angle")
         angle = one.source.numbers(one.turn[1][0])
-        if np.nanmax(np.abs(angle), initial=0.0) > _FULL_TURN:
+        if one.source.angle == "rad" and np.nanmax(np.abs(angle), initial=0.0) > _FULL_TURN:
             sizes["angle"] = "deg"
     named = {kind: unit for kind, unit in named.items() if unit}
     units = {

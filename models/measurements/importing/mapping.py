@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import compose
-from slipmap.models.measurements.csv_files import LENGTHS
+from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.importing.text_tables import seconds
@@ -275,17 +275,17 @@ def _turns(
         columns = _columns(source, kind, channel)
         if not columns:
             continue
-        cells = np.column_stack([source.numbers(column) for column in columns])
+        scale = 1.0 if kind == "quaternion" else channel.unit.get("angle", ANGLES[source.angle])
+        cells = scale * np.column_stack([source.numbers(column) for column in columns])
         if kind == "angle":
-            return np.asarray(channel.unit.get("angle", 1.0) * cells[:, 0])
+            return np.asarray(cells[:, 0])
         known = np.asarray(np.isfinite(cells).all(axis=1))
         if kind == "quaternion":
             known = known & (np.linalg.norm(cells, axis=1) > 0.5)
         turns = np.full((len(cells), 3, 3), np.nan)
         if known.any():
             make = Rotation.from_quat if kind == "quaternion" else Rotation.from_rotvec
-            scale = 1.0 if kind == "quaternion" else channel.unit.get("angle", 1.0)
-            turns[known] = make(scale * cells[known]).as_matrix()
+            turns[known] = make(cells[known]).as_matrix()
         return turns, known
     if name == "object_pose":
         raise DatasetError(

@@ -55,6 +55,7 @@ class Source:
     columns: Mapping[str, Column]  # by name, all of equal length
     time: FloatArray | None = None  # (T,) s, if the kind of file determines the column
     length: str = "m"  # unit of lengths, by the file or its kind
+    angle: str = "rad"  # unit of angles and rotation vectors
     up: str = "z"  # axis that points up, by the kind of file
     decimal: str = "."  # decimal sign of numbers in texts; empty if commas may also separate thousands
     first_row: int = 0  # number of the first row in error messages

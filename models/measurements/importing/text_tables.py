@@ -323,6 +323,7 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
     names, name = rows[place - 1], ""
     bodies: dict[str, dict[str, Column]] = {}
     lengths: dict[str, str] = {}
+    angles: dict[str, str] = {}
     for k, column in enumerate(cell.strip() for cell in rows[place]):
         if k < len(names) and names[k].strip():
             name = re.sub(r"^Global Angle ", "", names[k].strip())
@@ -332,14 +333,14 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
             values[column[-1].lower()] = table.numbers(str(k))
             lengths[name] = _LENGTHS.get(unit, "mm")
         elif column in ("RX", "RY", "RZ", "RW"):
-            in_degrees = "deg" in unit
-            values[f"r{column[1].lower()}"] = table.numbers(str(k)) * (np.pi / 180.0 if in_degrees else 1.0)
+            values[f"r{column[1].lower()}"] = table.numbers(str(k))
+            angles[name] = "deg" if "deg" in unit else "rad"
     sources = []
     for name, values in bodies.items():
         if "rw" in values:
             values = {column.replace("r", "q"): cells for column, cells in values.items()}
         if {"x", "y", "z"} <= values.keys():
-            sources.append(Source(where, name, values, time, lengths[name]))
+            sources.append(Source(where, name, values, time, lengths[name], angles.get(name, "rad")))
     if not sources:
         raise DatasetError(f"{where}: contains no object with a position (TX, TY, TZ)")
     return sources

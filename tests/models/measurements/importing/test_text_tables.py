@@ -132,20 +132,23 @@ def test_vicon(tmp_path):
     block, finger = source(tmp_path, text)
     assert (block.part, finger.part, block.length) == ("lab:block", "lab:finger", "mm")
     assert np.diff(block.time) == pytest.approx([1 / 200])
-    assert block.numbers("rz") == pytest.approx(np.radians([90, 45]))
+    assert block.numbers("rz") == pytest.approx([90, 45]) and block.angle == "deg"
     assert finger.numbers("x") == pytest.approx([10, 11])
 
 
-def test_vicon_is_imported(tmp_path):
+@pytest.mark.parametrize(
+    ("unit", "times"), [("", 1.0), ("unit: {angle: deg}\n", 1.0), ("unit: {angle: rad}\n", np.degrees(1.0))]
+)
+def test_vicon_is_imported_in_its_unit_or_the_stated_one(tmp_path, unit, times):
     rows = np.column_stack(
-        [np.arange(len(TIME)), 0 * TIME, np.zeros((len(TIME), 2)), np.degrees(POSE[:, 2] + 0.3),
+        [np.arange(len(TIME)), 0 * TIME, np.zeros((len(TIME), 2)), np.degrees(POSE[:, 2] + 0.03),
          1e3 * POSE[:, :2], 30 + 0 * TIME]
     )  # fmt: skip
     head = "Objects\n100\n,,lab:block,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm\n"
     (tmp_path / "v.csv").write_text(head + "\n".join(",".join(f"{c:.6f}" for c in row) for row in rows))
-    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {part: block}\ntip_pose: null\n")
+    (tmp_path / "s.yaml").write_text(SETUP + unit + "object_pose: {part: block}\ntip_pose: null\n")
     (trial,) = import_dataset(tmp_path / "v.csv", tmp_path / "s.yaml").trials
-    assert trial.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.3]), abs=1e-6)
+    assert trial.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.03 * times]), abs=1e-6)
 
 
 def motive(order, axes, angles):
@@ -173,7 +176,7 @@ def test_motive_in_euler_angles(tmp_path):
 def test_two_coordinates_of_a_motive_export_are_refused(tmp_path):
     (tmp_path / "m.csv").write_text(motive("XYZ", "X,Y,Z", [(0, 40, 0)] * 20))
     (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {position: [x, z]}\ntip_pose: null\n")
-    with pytest.raises(DatasetError, match=r"m\.csv, b: object_pose: with up: y .* needs x, y and z, not two"):
+    with pytest.raises(DatasetError, match=r"m\.csv, b: object_pose: with up: y .* needs x, y and z"):
         import_dataset(tmp_path / "m.csv", tmp_path / "s.yaml")
 
 
