@@ -382,10 +382,11 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     zero = float(np.floor(tables["object_pose"][0, 0])) if epochs["object_pose"] else 0.0
     for channel, rows in tables.items():
         clock = said.channels[channel].clock
+        for stamps in (rows[:, 0], found[channel].lifted):  # rounded alike, so that they stay equal
+            stamps += clock if isinstance(clock, float) else 0.0
+            stamps -= zero
         if isinstance(clock, float):
-            rows[:, 0] += clock
             steps.append(f"{channel}: {clock:g} s added to the stamps")
-        rows[:, 0] -= zero
     if zero:
         steps.append(f"times count from {zero:.0f} s since 1970")
     if "tip_pose" not in tables:
@@ -395,7 +396,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     trial, more = trial_from_tables(name, "fit", tables, name, longest=_LONGEST)
     doubts += more
     if "tip_pose" in found and len(found["tip_pose"].lifted):
-        trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
+        trial = _far_where_lifted(trial, found["tip_pose"].lifted)
     force_lags: list[Lag | None] = []
     fingers: Lag | None = None
     for channel in ("tip_pose", "ft_wrench"):
@@ -449,12 +450,10 @@ def _is_own(source: Source, channel: str, sources: Mapping[str, Source]) -> bool
     return channel == "object_pose" or (source.file, source.part) != (tracked.file, tracked.part)
 
 
-def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
-    """The trial with the finger placed far away while it is lifted, when it may pass over the object."""
-    clock = said.channels["tip_pose"].clock
-    shift = (clock if isinstance(clock, float) else 0.0) - zero
+def _far_where_lifted(trial: Trial, lifted: FloatArray) -> Trial:
+    """The trial with the finger far away at the stamps where it is lifted, and may pass over the object."""
     tip = trial.tip_pose
-    far = np.isin(tip.time, lifted + shift)
+    far = np.isin(tip.time, lifted)
     return replace(trial, tip_pose=Channel(tip.time, tip.values + np.where(far, _NOWHERE, 0.0)[:, None]))
 
 

@@ -268,6 +268,22 @@ def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp
     assert any("as for the finger in the same file" in step for step in read.provenance)
 
 
+@pytest.mark.parametrize("clock", [0.0, 0.1, 1700000000.01])
+def test_a_lifted_finger_touches_nothing_whatever_is_added_to_its_stamps(tmp_path, clock):
+    """It passes over the object at the end."""
+    since = 1.7e9 if clock > 1e9 else 0.0
+    height = np.where(TIME < 1.3, 0.01, 0.08)
+    over = np.where(TIME[:, None] < 1.3, TIP, TIP + np.array([0.04, 0.0]))
+    written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], [since + TIME, POSE])
+    written(tmp_path / "robot.csv", ["t", "a", "b", "c"], [TIME + 0.0033 - clock + since, over, height])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\n"
+        f"tip_pose: {{source: robot.csv, position: [a, b, c], clock: {clock}}}\n"
+    )
+    (trial,) = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.tip_pose.values == pytest.approx(TIP[TIME < 1.3], abs=1e-6)
+
+
 @pytest.mark.parametrize("again", [0.0, 0.02, -0.03])
 def test_stamps_that_start_anew_part_the_pushes(tmp_path, again):
     columns = [
