@@ -307,21 +307,52 @@ def _pushes_told_apart(
         channel: np.array([parsing.push_label(text) for text in sources[channel].texts(column)])
         for channel, column in columns.items()
     }
-    for push in dict.fromkeys(numbers["object_pose"].tolist()):
-        if not push:
-            raise DatasetError(
-                f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
-                " each row belongs to"
-            )
-        yield (
-            f"{name}#{push}",
-            {
-                channel: source.chosen(np.flatnonzero(numbers[channel] == push))
-                if channel in numbers
-                else source
-                for channel, source in sources.items()
-            },
+    pushes = list(dict.fromkeys(numbers["object_pose"].tolist()))
+    if "" in pushes:
+        raise DatasetError(
+            f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
+            " each row belongs to"
         )
+    parts = {
+        channel: [source.chosen(np.flatnonzero(numbers[channel] == push)) for push in pushes]
+        if channel in numbers
+        else _parts_without_numbers(channel, sources, said, columns["object_pose"], len(pushes))
+        for channel, source in sources.items()
+    }
+    for number, push in enumerate(pushes):
+        yield f"{name}#{push}", {channel: part[number] for channel, part in parts.items()}
+
+
+def _parts_without_numbers(
+    channel: str, sources: Mapping[str, Source], said: ImportSetup, column: str, count: int
+) -> list[Source]:
+    """The table of a channel for each of `count` pushes that only the object's table numbers.
+
+    It is cut where its stamps start anew. If they never do, the whole serves every push: the object's stamps
+    do not either, or contact aligns the two.
+
+    Raises:
+        DatasetError: the stamps start anew more or less often than the pushes are numbered.
+    """
+    source, tracked = sources[channel], sources["object_pose"]
+    pieces = _cut_at_new_starts(source, said.channels[channel])
+    if len(pieces) == 1 and (
+        _is_aligned(channel, sources, said)
+        or len(_cut_at_new_starts(tracked, said.channels["object_pose"])) == 1
+    ):
+        return [source] * count
+    if len(pieces) != count:
+        raise DatasetError(
+            f"{tracked.where}: {column} numbers {count} pushes, but the stamps of {channel} in"
+            f" {source.where} start anew {len(pieces) - 1} times; number the pushes there, too, and"
+            f" name the column with {channel}.push, or give each push its own files"
+        )
+    return [source.chosen(rows) for rows in pieces]
+
+
+def _cut_at_new_starts(source: Source, channel: ChannelSetup) -> list[NDArray[np.int_]]:
+    """The rows of a table, cut where stamps go back to the start."""
+    return np.split(np.arange(len(source)), _new_starts(times(source, channel)[0]))
 
 
 def _cut_where_stamps_start_anew(
@@ -329,8 +360,7 @@ def _cut_where_stamps_start_anew(
 ) -> Iterator[tuple[str, dict[str, Source]]]:
     """The recording cut where stamps go back to the start; unchanged if they never do."""
     pieces = {
-        channel: np.split(np.arange(len(source)), _new_starts(times(source, said.channels[channel])[0]))
-        for channel, source in sources.items()
+        channel: _cut_at_new_starts(source, said.channels[channel]) for channel, source in sources.items()
     }
     count = len(pieces["object_pose"])
     for channel, rows in pieces.items():
@@ -403,8 +433,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
         if channel not in sources:
             continue
         clock = said.channels[channel].clock
-        other_file = sources[channel].file != sources["object_pose"].file
-        if clock == CONTACT or (clock is None and other_file):
+        if _is_aligned(channel, sources, said):
             near = epochs["object_pose"] and epochs[channel] and clock is None
             if channel == "tip_pose":
                 lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
@@ -442,6 +471,12 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags)
+
+
+def _is_aligned(channel: str, sources: Mapping[str, Source], said: ImportSetup) -> bool:
+    """Whether contact brings a channel to the object's clock: another file does not share it by itself."""
+    clock = said.channels[channel].clock
+    return clock == CONTACT or (clock is None and sources[channel].file != sources["object_pose"].file)
 
 
 def _is_own(source: Source, channel: str, sources: Mapping[str, Source]) -> bool:

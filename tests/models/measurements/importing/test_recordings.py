@@ -315,6 +315,34 @@ def test_a_push_has_one_number_however_files_write_it(tmp_path):
     assert dataset.trials[1].tip_pose.values[0] == pytest.approx(TIP[0] + 0.01)
 
 
+def numbered_beside(tmp_path, finger_time, finger):
+    """Two numbered pushes of the object, and a file of the finger that does not number them."""
+    columns = [np.repeat([1, 2], len(TIME)), np.tile(TIME, 2), np.concatenate([POSE, POSE + 0.01])]
+    written(tmp_path / "cam.csv", ["push_id", "t", "x", "y", "theta"], columns)
+    written(tmp_path / "robot.csv", ["t", "a", "b"], [finger_time, finger])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\ntip_pose: {source: robot.csv, position: [a, b], clock: 0}\n"
+    )
+    return import_dataset(tmp_path, tmp_path / "s.yaml")
+
+
+def test_stamps_that_start_anew_go_with_the_numbers_of_another_file(tmp_path):
+    dataset = numbered_beside(tmp_path, np.tile(TIME, 2), np.concatenate([TIP, TIP + 0.01]))
+    assert [trial.name for trial in dataset.trials] == ["cam.csv#1", "cam.csv#2"]
+    for k, trial in enumerate(dataset.trials):
+        assert trial.tip_pose.values == pytest.approx(TIP + 0.01 * k, abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_stamps_that_start_anew_more_or_less_often_than_the_numbers_are_refused(tmp_path, count):
+    with pytest.raises(
+        DatasetError,
+        match=r"cam\.csv: push_id numbers 2 pushes, .* tip_pose in robot\.csv start anew "
+        rf"{count - 1} times",
+    ):
+        numbered_beside(tmp_path, np.tile(TIME, count), np.tile(TIP, (count, 1)))
+
+
 @pytest.mark.parametrize(
     ("heldout", "roles"),
     [("", "fff"), ("heldout: [p.csv#1, p.csv#3]\n", "hfh"), ("heldout: []\n", "fff")],
