@@ -77,7 +77,7 @@ def _sign(lines: Sequence[str]) -> str | None:
 
 def _decimal_commas(sample: Sequence[str]) -> bool:
     """Whether the commas are decimal commas of numbers between blanks."""
-    cells = sample[-1].split()
+    cells = sample[-1].split() if sample else []
     return len(cells) > 1 and all(re.fullmatch(r"[-+]?\d+(,\d+)?(e[-+]?\d+)?", cell, re.I) for cell in cells)
 
 

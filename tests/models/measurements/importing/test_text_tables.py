@@ -185,6 +185,8 @@ def test_two_coordinates_of_a_motive_export_are_refused(tmp_path):
     [
         ("", "empty"),
         ("t,x\n", "no rows"),
+        ("#\n", "no rows"),
+        ("# t,x\n#\n\n", "no rows"),
         ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
         ("a\0b", "not a text file"),
         ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
