@@ -186,7 +186,7 @@ def _lag_words(lag: CameraLag | None) -> str:
 
 @contextmanager
 def _new_log(path: Path) -> Iterator[EventLog]:
-    """A log at a new path; removed if the block fails with nothing in it, to leave the path for another try."""
+    """A log at a new path, which is free again if the block fails before anything is in the log."""
     check_output(path)
     if path.exists():
         raise BadInput(f"{path}: exists already; choose another name")
