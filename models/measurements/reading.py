@@ -59,8 +59,9 @@ def read_dataset(
     - CSV files, one or a folder of them; see `csv_files` for the columns. Their force is already that of the
       finger on the object.
 
-    MIT and CSV files do not state roles: in sorted order the last quarter (rounded down) is heldout. A file
-    in which the object is carried while the finger is away is cut into its pushes there.
+    MIT and CSV files do not state roles: the last quarter (rounded down) is heldout, in the order of their
+    names, in which numbers count by value (push_2 before push_10). A file in which the object is carried while the
+    finger is away is cut into its pushes there.
 
     Inconsistencies are reported and kept in the dataset's `warnings`. Single pushes whose geometry is wrong
     while that of the others is right are left out; errors common to all pushes stay, for `diagnose`.
@@ -465,9 +466,12 @@ def _is(file: Path, endings: tuple[str, ...]) -> bool:
 
 def _record_files(folder: Path) -> list[Path]:
     files = sorted(
-        file
-        for file in folder.iterdir()
-        if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
+        (
+            file
+            for file in folder.iterdir()
+            if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
+        ),
+        key=parsing.by_numbers,
     )
     if not files:
         raise DatasetError(f"{folder}: contains no measurements; expected {_KINDS}")

@@ -37,6 +37,19 @@ def test_files_go_together_by_what_stands_under_the_star(tmp_path):
     assert "tip_pose: 0.5 s added to the stamps" in dataset.provenance
 
 
+def test_files_are_in_the_order_of_the_numbers_in_their_names(tmp_path):
+    """Also in folders, and pushes 10 to 12 are held out, not 7 to 9."""
+    for k in range(1, 13):
+        folder = tmp_path / f"day {9 + (k > 10)}"
+        folder.mkdir(exist_ok=True)
+        written(folder / f"push_{k}.csv", ["t", "x", "y", "theta"], [TIME, POSE + 0.01 * k])
+    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {position: [x, y]}\ntip_pose: null\n")
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
+    names = [f"day {9 + (k > 10)}/push_{k}.csv" for k in range(1, 13)]
+    assert [trial.name for trial in dataset.trials] == names
+    assert [trial.role for trial in dataset.trials] == ["fit"] * 9 + ["heldout"] * 3
+
+
 def test_a_file_without_its_partner_is_named(tmp_path):
     pairs(tmp_path, 3)
     (tmp_path / "robot_1.csv").unlink()
