@@ -60,8 +60,8 @@ def read_dataset(
       finger on the object.
 
     MIT and CSV files do not state roles: the last quarter (rounded down) is heldout, in the order of their
-    names, in which numbers count by value (push_2 before push_10). A file in which the object is carried while the
-    finger is away is cut into its pushes there.
+    names, in which numbers count by value (push_2 before push_10). A file in which the object is carried
+    while the finger is away is cut into its pushes there.
 
     Inconsistencies are reported and kept in the dataset's `warnings`. Single pushes whose geometry is wrong
     while that of the others is right are left out; errors common to all pushes stay, for `diagnose`.

@@ -196,6 +196,8 @@ def test_a_wrong_axis_is_said(tmp_path):
         ("object_pose: {position: [a, b]}", "object's angle"),
         ("object_pose: {position: [a, b], angle: c, time: when}", "no column 'when'"),
         ("object_pose: null", "is null"),
+        ("csv: {object_x: {unit: mm}}", "setup.yaml: csv: object_x and object_y have different units"),
+        ("csv: {force_x: {unit: mN}}", "csv: force_x and force_y have different units"),
     ],
 )
 def test_a_wrong_setup_is_refused(tmp_path, setup, fault):
