@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -335,4 +336,5 @@ def _up(pose: _Found) -> str:
 
 
 def _quoted(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z_][\w./ -]*", name) and name == name.strip() else f'"{name}"'
+    plain = re.fullmatch(r"[A-Za-z_][\w./ -]*", name) and name == name.strip()
+    return name if plain else json.dumps(name, ensure_ascii=False)

@@ -77,7 +77,7 @@ class Source:
         """
         if column in self.columns:
             return column
-        if column.isdigit() and int(column) < len(self.columns):
+        if column.isascii() and column.isdecimal() and int(column) < len(self.columns):
             return list(self.columns)[int(column)]
         raise DatasetError(f"{self.where}: there is no column {parsing.shown(column)}; {self.listed}")
 
@@ -109,6 +109,8 @@ class Source:
         if self.decimal == ",":
             texts = [_with_point(cell) for cell in cells]
         try:
+            if any("_" in text for text in texts):
+                raise ValueError
             return np.array([text or "nan" for text in texts], dtype=float)
         except ValueError:
             pairs = enumerate(zip(texts, cells, strict=True))

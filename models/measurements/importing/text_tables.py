@@ -139,6 +139,8 @@ def _is_header(comment: str, line: str, sign: str | None) -> bool:
 
 
 def _numeric(cell: str, decimal: str = ".") -> bool:
+    if "_" in cell:  # which Python takes between digits
+        return False
     try:
         float(cell.replace(decimal or ",", ".") or "nan")
     except ValueError:

@@ -179,6 +179,17 @@ def test_a_guess_says_that_commas_may_mean_either(tmp_path):
         guess_setup(tmp_path / "p.csv")
 
 
+@pytest.mark.parametrize("stem", ['the "block" ', "block\\", "Klötzchen: "])
+def test_a_guess_quotes_any_name(tmp_path, stem):
+    names = ["t", f"{stem}x", f"{stem}y", f"{stem}yaw"]
+    header = ",".join('"{}"'.format(name.replace('"', '""')) for name in names)
+    rows = [",".join(f"{cell:.6f}" for cell in row) for row in np.column_stack([TIME, POSE])]
+    (tmp_path / "p.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    text = guess_setup(tmp_path / "p.csv")
+    assert yaml.safe_load(text)["object_pose"] == {"position": names[1:3], "angle": names[3], "time": "t"}
+    assert "\\u" not in text
+
+
 def test_columns_in_an_unknown_unit_are_named_with_the_known_ones(tmp_path):
     names = ["t", "block X (mm)", "block Y (mm)", "block_yaw", "probe X (in)", "probe Y (in)"]
     names += ["Fx (gf)", "Fy (gf)"]

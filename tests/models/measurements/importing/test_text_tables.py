@@ -90,6 +90,23 @@ def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
         table.numbers("phase")
 
 
+def test_underscores_make_no_numbers(tmp_path):
+    """Though Python reads 1_0 as 10."""
+    (table,) = source(tmp_path, "t,x\n0,1.5\n0.5,1_0\n")
+    with pytest.raises(DatasetError, match=r"a\.csv, row 1, x: '1_0' is not a number"):
+        table.numbers("x")
+    (table,) = source(tmp_path, "1_0,2_0\n0,1.5\n")
+    assert table.numbers("2_0") == [1.5]
+
+
+def test_only_digits_number_a_column(tmp_path):
+    (table,) = source(tmp_path, "t,x\n0,1.5\n")
+    assert table.name_of("1") == "x"
+    for odd in ("²", "１", "-1"):
+        with pytest.raises(DatasetError, match=f"there is no column '{odd}'"):
+            table.name_of(odd)
+
+
 def test_a_text_with_a_comma_makes_no_decimal_commas(tmp_path):
     (table,) = source(tmp_path, "t\tx\tnote\n0\t1.5\tok\n0.5\t-2.25\t1,2\n")
     assert table.numbers("x") == pytest.approx([1.5, -2.25])
