@@ -292,6 +292,17 @@ def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp
     assert any("as for the finger in the same file" in step for step in read.provenance)
 
 
+def test_midnight_is_no_new_start(tmp_path):
+    seconds = 59.0 + TIME
+    clock = [f"23:59:{now:09.6f}" if now < 60.0 else f"00:00:{now - 60.0:09.6f}" for now in seconds]
+    places = np.column_stack([POSE, TIP])
+    rows = (",".join([now, *map(str, row)]) for now, row in zip(clock, places, strict=True))
+    (tmp_path / "p.csv").write_text("\n".join(["t,x,y,theta,a,b", *rows]))
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    (trial,) = import_dataset(tmp_path / "p.csv", tmp_path / "s.yaml").trials
+    assert np.diff(trial.object_pose.time) == pytest.approx(np.diff(TIME), abs=1e-6)
+
+
 @pytest.mark.parametrize("clock", [0.0, 0.1, 1700000000.01])
 def test_a_lifted_finger_touches_nothing_whatever_is_added_to_its_stamps(tmp_path, clock):
     """It passes over the object at the end."""
