@@ -18,7 +18,7 @@ from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Setup, Table, dataset_of
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
-from slipmap.models.measurements.trial import CHANNELS, DatasetError, Role, Trial, in_order
+from slipmap.models.measurements.trial import CHANNELS, LAST_PLACE, DatasetError, Role, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -376,8 +376,10 @@ def _entries(
                 )
             forced[name] = entry["keep"]
         order = entry.get("order", row)
-        if isinstance(order, bool) or not isinstance(order, int) or order < 0:
-            raise DatasetError(f"{place}: order must be a whole number from 0, got {parsing.shown(order)}")
+        if isinstance(order, bool) or not (isinstance(order, int) and 0 <= order <= LAST_PLACE):
+            raise DatasetError(
+                f"{place}: order must be a whole number from 0 to {LAST_PLACE}, got {parsing.shown(order)}"
+            )
         if order in taken:
             raise DatasetError(
                 f"{place}: order {order} is also that of another trial; a trial without `order` has its row's"
