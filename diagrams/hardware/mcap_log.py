@@ -108,12 +108,12 @@ class McapLog:
         self._writer = Writer(file)
         self._writer.start("slipmap")
         self._channels: dict[str, int] = {}
-        self._count = 0
+        self.count = 0
 
     def write(self, event: Event) -> None:
         """Add an event as received, and its JSON for viewers."""
         self._add(event.channel, _RAW, 0, event, event.data)
-        self._count += 1
+        self.count += 1
         view = _VIEWS.get(event.channel)
         if view is None:
             return
@@ -131,7 +131,7 @@ class McapLog:
         if name not in self._channels:
             self._channels[name] = self._writer.register_channel(name, encoding, schema)
         time = 1000 * event.utime
-        self._writer.add_message(self._channels[name], time, data, time, self._count)
+        self._writer.add_message(self._channels[name], time, data, time, self.count)
 
     def close(self) -> None:
         """Write the end of the log."""

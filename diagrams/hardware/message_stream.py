@@ -60,6 +60,7 @@ class EventLog(Protocol):
     """A destination for unchanged events."""
 
     name: str  # of the file
+    count: int  # events written
 
     def write(self, event: Event) -> None:
         """Add an event, numbered by its place in the log."""
@@ -70,12 +71,12 @@ class LcmLog:
 
     def __init__(self, file: IO[bytes]) -> None:
         self.name = file.name
-        self._file, self._count = file, 0
+        self._file, self.count = file, 0
 
     def write(self, event: Event) -> None:
         """Add an event."""
-        self._file.write(replace(event, number=self._count).encode())
-        self._count += 1
+        self._file.write(replace(event, number=self.count).encode())
+        self.count += 1
 
 
 class LogReader:

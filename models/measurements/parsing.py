@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from difflib import get_close_matches
 from itertools import chain
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,12 @@ _DEEPEST_YAML = 50
 _MOST_FAULTS = 40  # in one message
 _NUMBER = r"\d+(\.\d+)?"
 _LONGEST_NAME = 250  # characters up to which a path is given in full
+
+
+def by_numbers(path: PurePath) -> tuple[list[list[str | int]], PurePath]:
+    """Sort key of paths by their names, in which numbers count by value: push_2 comes before push_10."""
+    names = [re.split("([0-9]+)", part) for part in path.parts]  # words and numbers take turns
+    return [[int(text) if k % 2 else text for k, text in enumerate(name)] for name in names], path
 
 
 def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:

@@ -18,7 +18,7 @@ from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Setup, Table, dataset_of
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
-from slipmap.models.measurements.trial import CHANNELS, DatasetError, Role, Trial, in_order
+from slipmap.models.measurements.trial import CHANNELS, LAST_PLACE, DatasetError, Role, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -59,8 +59,9 @@ def read_dataset(
     - CSV files, one or a folder of them; see `csv_files` for the columns. Their force is already that of the
       finger on the object.
 
-    MIT and CSV files do not state roles: in sorted order the last quarter (rounded down) is heldout. A file
-    in which the object is carried while the finger is away is cut into its pushes there.
+    MIT and CSV files do not state roles: the last quarter (rounded down) is heldout, in the order of their
+    names, in which numbers count by value (push_2 before push_10). A file in which the object is carried
+    while the finger is away is cut into its pushes there.
 
     Inconsistencies are reported and kept in the dataset's `warnings`. Single pushes whose geometry is wrong
     while that of the others is right are left out; errors common to all pushes stay, for `diagnose`.
@@ -375,8 +376,10 @@ def _entries(
                 )
             forced[name] = entry["keep"]
         order = entry.get("order", row)
-        if isinstance(order, bool) or not isinstance(order, int) or order < 0:
-            raise DatasetError(f"{place}: order must be a whole number from 0, got {parsing.shown(order)}")
+        if isinstance(order, bool) or not (isinstance(order, int) and 0 <= order <= LAST_PLACE):
+            raise DatasetError(
+                f"{place}: order must be a whole number from 0 to {LAST_PLACE}, got {parsing.shown(order)}"
+            )
         if order in taken:
             raise DatasetError(
                 f"{place}: order {order} is also that of another trial; a trial without `order` has its row's"
@@ -465,9 +468,12 @@ def _is(file: Path, endings: tuple[str, ...]) -> bool:
 
 def _record_files(folder: Path) -> list[Path]:
     files = sorted(
-        file
-        for file in folder.iterdir()
-        if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
+        (
+            file
+            for file in folder.iterdir()
+            if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
+        ),
+        key=parsing.by_numbers,
     )
     if not files:
         raise DatasetError(f"{folder}: contains no measurements; expected {_KINDS}")

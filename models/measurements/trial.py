@@ -26,6 +26,9 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
 }
 """The channels of a trial and their columns besides time; force is optional."""
 
+LAST_PLACE = 1_000_000
+"""The largest `order` of a trial."""
+
 _FAR_AWAY = 1.0  # m beyond the outline
 
 
@@ -95,7 +98,7 @@ class Trial:
         ft_wrench: (T, 3) force of the finger on the object in the world frame, N, and torque about the
             finger's axis, N·m, 0 if not measured; None if force was not measured.
         kept: whether it stays in its dataset whatever the checks on reading find.
-        order: its place in the experiment as recorded, from 0, which it keeps when other trials are left out;
+        order: its place in the experiment as recorded, 0 to 1000000, kept when other trials are left out;
             if None, a dataset gives it that in its `trials`.
 
     Raises:
@@ -125,8 +128,10 @@ class Trial:
     def __post_init__(self) -> None:
         if self.role not in ("fit", "heldout"):
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
-        if self.order is not None and (not isinstance(self.order, int) or self.order < 0):
-            raise DatasetError(f"{self.name}: order must be a whole number from 0, got {self.order!r}")
+        if self.order is not None and not (isinstance(self.order, int) and 0 <= self.order <= LAST_PLACE):
+            raise DatasetError(
+                f"{self.name}: order must be a whole number from 0 to {LAST_PLACE}, got {self.order!r}"
+            )
         for what, channel in self.channels.items():
             source = "which slipmap.dataset_from_arrays makes of arrays"
             check_kind(f"{self.name}: {what}", channel, Channel, source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from slipmap.diagrams.application.terminal import status
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import TICK, Event, LcmLog, LogReader
 from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
+from slipmap.models.files import BadInput
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.writing import PushRecorder
 from tests.hardware.made_up_cell import AHEAD, FORCE, MadeUpCell, gripper, scenario
@@ -254,6 +256,28 @@ def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset
 def test_an_address_that_is_none_is_told_at_once(slipmap, tmp_path):
     said = slipmap("record", "-o", tmp_path / "box", "--lcm", "udpm://10.0.0.1:7667")
     assert said.code == 2 and "multicast" in said.err and not (tmp_path / "box").exists()
+
+
+@pytest.mark.parametrize("name", ["box.log", "box.mcap"])
+def test_a_start_that_fails_leaves_no_log_that_blocks_the_next(slipmap, tmp_path, monkeypatch, name):
+    log = tmp_path / name
+    said = slipmap("record", "-o", tmp_path / "box", "--log", log, "--lcm", "nonsense")
+    assert said.code == 2 and not log.exists()
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)  # not installed
+    said = slipmap("record", "-o", tmp_path / "box", "--log", tmp_path / "box.mcap")
+    assert said.code == 2 and "slipmap[import]" in said.err and not list(tmp_path.iterdir())
+
+
+def test_a_log_of_what_was_heard_before_a_failure_stays(slipmap, tmp_path, monkeypatch, recorded):
+    def cut_off(stream, listener, recorder, tell, log, **how):
+        log.write(recorded.events[0])
+        raise BadInput("the network is gone")
+
+    heard_on_the_network(monkeypatch, recorded.events)
+    monkeypatch.setattr("slipmap.diagrams.loops.push_listener.record_pushes", cut_off)
+    log = tmp_path / "box.log"
+    assert slipmap("record", "-o", tmp_path / "box", "--log", log).code == 2
+    assert log.stat().st_size > 0
 
 
 def test_lines_about_what_is_heard_fit_80_columns(capsys, recorded):

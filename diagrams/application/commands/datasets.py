@@ -190,10 +190,17 @@ def import_files(
                 f"{source}: name a setup with --setup (default: setup.yaml), not among the sources"
             )
     check_folder(output.absolute().parent, output)
-    if is_replaced(output.resolve(), overwrite=True) and not is_imported(output):
+    picture = output.absolute().with_name(f"{output.absolute().name}.png")
+    replaces = is_replaced(output.resolve(), overwrite=True)
+    if replaces and not is_imported(output):
         raise BadInput(
             f"{output}: the push dataset here was not made by an import, so it is not replaced; name another"
             " folder with -o, or move this one away"
+        )
+    if not replaces and picture.exists():
+        raise BadInput(
+            f"{picture}: exists already, and no imported dataset is beside it whose picture it could be; name"
+            " another folder with -o, or move this file away"
         )
     with Progress() as progress:
         dataset = import_dataset(
@@ -207,7 +214,6 @@ def import_files(
             dataset = replace(dataset, name=output.absolute().name)
         from slipmap.diagrams.application.figures import measured_figure
 
-        picture = output.absolute().with_name(f"{output.absolute().name}.png")
         with together():
             write_figures(picture, [measured_figure(dataset)])
             with writing(output):

@@ -7,7 +7,7 @@ log and learns from them, and `station` simulates a cell with the messages of a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -186,21 +186,25 @@ def _lag_words(lag: CameraLag | None) -> str:
 
 @contextmanager
 def _new_log(path: Path) -> Iterator[EventLog]:
+    """A log at a new path, which is free again if the block fails before anything is in the log."""
     check_output(path)
     if path.exists():
         raise BadInput(f"{path}: exists already; choose another name")
     from slipmap.diagrams.hardware.mcap_log import McapLog
     from slipmap.diagrams.hardware.message_stream import LcmLog
 
+    log: EventLog | None = None
     with writing(path), open(path, "xb") as file:
-        if path.suffix.lower() != MCAP_ENDING:
-            yield LcmLog(file)
-            return
-        log = McapLog(file)
         try:
-            yield log
-        finally:
-            log.close()
+            if path.suffix.lower() == MCAP_ENDING:
+                with closing(McapLog(file)) as log:
+                    yield log
+            else:
+                yield (log := LcmLog(file))
+        except BaseException:
+            if log is None or not log.count:
+                path.unlink(missing_ok=True)
+            raise
 
 
 @click.command()

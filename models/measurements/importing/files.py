@@ -14,6 +14,7 @@ from slipmap.models.measurements.importing.array_files import (
 from slipmap.models.measurements.importing.bags import BAG_ENDINGS, read_bag
 from slipmap.models.measurements.importing.source import Reader, Source
 from slipmap.models.measurements.importing.text_tables import TEXT_ENDINGS, read_text
+from slipmap.models.measurements.parsing import by_numbers
 from slipmap.models.measurements.trial import DatasetError
 
 _READERS: dict[str, Reader] = {
@@ -33,6 +34,8 @@ KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 ba
 def find_files(paths: Sequence[Path]) -> dict[str, Path]:
     """Files that can be read, in order, by their names for a setup.yaml; in a folder, the path inside it.
 
+    Files of a folder are in the order of their names, in which numbers count by value.
+
     Raises:
         DatasetError: a missing path, a file of another kind, or a folder without readable files.
     """
@@ -47,7 +50,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
         else:
             inside = {
                 PurePosixPath(file.relative_to(path)).as_posix(): file
-                for file in sorted(path.rglob("*"))
+                for file in sorted(path.rglob("*"), key=by_numbers)
                 if _is_table(file)
                 and not any(_is_table(folder) for folder in file.parents if folder.is_relative_to(path))
                 and not any(part.startswith(".") for part in file.relative_to(path).parts)

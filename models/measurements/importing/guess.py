@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -305,7 +306,7 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
     if name == "object_pose" and one.turn is not None and one.turn[0] == "angle":
         named["angle"] = _unit(one.turn[1][0], "angle")
         angle = one.source.numbers(one.turn[1][0])
-        if np.nanmax(np.abs(angle), initial=0.0) > _FULL_TURN:
+        if one.source.angle == "rad" and np.nanmax(np.abs(angle), initial=0.0) > _FULL_TURN:
             sizes["angle"] = "deg"
     named = {kind: unit for kind, unit in named.items() if unit}
     units = {
@@ -335,4 +336,5 @@ def _up(pose: _Found) -> str:
 
 
 def _quoted(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z_][\w./ -]*", name) and name == name.strip() else f'"{name}"'
+    plain = re.fullmatch(r"[A-Za-z_][\w./ -]*", name) and name == name.strip()
+    return name if plain else json.dumps(name, ensure_ascii=False)

@@ -117,7 +117,7 @@ def parse_import_setup(
         if "unit" in shared:
             of_all = _unit(shared["unit"], f"{where}: unit", name == "ft_wrench")
             found = replace(found, unit={**of_all, **found.unit})
-        usual, unit = _usual(name, columns)
+        usual, unit = _usual(name, columns, f"{where}: csv")
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
         raise DatasetError(
@@ -142,7 +142,9 @@ def _filled(said: object, described: object) -> object:
     return described if said is None else said
 
 
-def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
+def _usual(
+    name: str, columns: csv_files.CsvColumns, where: str
+) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
     """The columns of a channel from the key `csv`, and their units where not SI."""
     names = [columns.names[ours] for ours in CHANNELS[name]]
     kinds = ("force", "force", "torque") if name == "ft_wrench" else ("position", "position", "angle")
@@ -150,7 +152,11 @@ def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[st
     unit = {"time": columns.factors["t"]}
     for kind, ours, theirs in zip(kinds, CHANNELS[name], names, strict=False):
         usual[kind] = (*usual.get(kind, ()), theirs)
-        unit[kind] = columns.factors[ours]
+        if unit.setdefault(kind, columns.factors[ours]) != columns.factors[ours]:
+            raise DatasetError(
+                f"{where}: {CHANNELS[name][0]} and {ours} have different units; an import needs one for both;"
+                " convert a column, or read the file as it is, without importing"
+            )
     return usual, {kind: factor for kind, factor in unit.items() if factor != 1.0}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import compose
-from slipmap.models.measurements.csv_files import LENGTHS
+from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.importing.text_tables import seconds
@@ -48,6 +48,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
 TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
 
 _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is unreliable
+_STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
 _LIFTED = 0.01  # m above the finger's pushing height
@@ -78,8 +79,12 @@ def is_there(source: Source, name: str, channel: ChannelSetup) -> bool:
     return _columns(source, "force" if name == "ft_wrench" else "position", channel, usual_only=True) != ()
 
 
-def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
+def mapped(source: Source, name: str, channel: ChannelSetup, own: bool = True) -> Mapped:
     """The rows of a channel.
+
+    Args:
+        own: whether the table holds no other channel's pose, so that a rotation in it is this one's, even if
+            the setup does not name its columns.
 
     Raises:
         DatasetError: missing or non-numeric columns, no clock, or no rows.
@@ -95,7 +100,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
             values = -values
             done.append("sign reversed")
     else:
-        values, height, more = _pose(source, name, channel, up)
+        values, height, more = _pose(source, name, channel, up, own)
         doubts += more
     table = np.column_stack([time, values])
     lifted = np.zeros(0)
@@ -208,18 +213,18 @@ def seconds_and_nanoseconds(source: Source) -> list[tuple[str, str]]:
 
 
 def _pose(
-    source: Source, name: str, channel: ChannelSetup, up: str
+    source: Source, name: str, channel: ChannelSetup, up: str, own: bool
 ) -> tuple[FloatArray, FloatArray, list[str]]:
     """(T, 3) x, y, theta on the table, (T,) height above it, NaN where unknown, and warnings."""
     columns = _needed(source, "position", channel, name)
     scale = channel.unit.get("position", LENGTHS[source.length])
     position = scale * np.column_stack([source.numbers(column) for column in columns])
     doubts = []
-    turn = _turns(source, channel, name)
+    turn = _turns(source, channel, name, own)
     known_height = position.shape[1] == 3
     if not known_height:
         position = np.column_stack([position, np.zeros(len(position))])
-        if up not in ("z", "-z") and channel.up:
+        if up not in ("z", "-z"):
             raise DatasetError(
                 f"{source.where}: {name}: with up: {up} the position needs x, y and z, not two columns"
             )
@@ -230,9 +235,11 @@ def _pose(
     whole = frame[:3, :3] @ to_table
     place = position @ whole.T + frame[:3, 3]
     heading = np.arctan2(frame[1, 0], frame[0, 0])
+    axes: FloatArray | None = None  # (T, 3, 3) columns: axes of the tracked frame, seen from the table
     if isinstance(turn, tuple):
         turns, known = turn
-        matrices = whole @ turns @ to_table.T
+        axes = whole @ turns
+        matrices = axes @ to_table.T
         theta = np.where(known, np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]), np.nan)
         theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
@@ -241,19 +248,22 @@ def _pose(
                 f"{source.where}: the object's frame is tilted by {np.degrees(np.median(tilt)):.0f}° relative"
                 " to the table; is `up` right, and does the tracked frame lie flat?"
             )
-    else:
+    elif turn is not None:
+        down = _looks_down(frame, f"{source.where}: {name}") != up.startswith("-")
         # An angle about a downward axis has the opposite sign on the table.
-        theta = heading + channel.sign * (-turn if up.startswith("-") else turn)
-        matrices = None
+        theta = heading + channel.sign * (-turn if down else turn)
+        axes = whole @ _about(up[-1], channel.sign * turn)
+    else:
+        theta = np.full(len(place), heading)
     values = np.column_stack([place[:, :2], theta])
     height = place[:, 2] if known_height else np.full(len(place), np.nan)
-    return _offset_taken_off(values, channel, name, matrices, up), height, doubts
+    return _offset_taken_off(values, channel, name, axes), height, doubts
 
 
 def _turns(
-    source: Source, channel: ChannelSetup, name: str
-) -> FloatArray | tuple[FloatArray, NDArray[np.bool_]]:
-    """(T,) angles, or (T, 3, 3) rotations with (T,) whether they are known."""
+    source: Source, channel: ChannelSetup, name: str, own: bool
+) -> FloatArray | tuple[FloatArray, NDArray[np.bool_]] | None:
+    """(T,) angles, or (T, 3, 3) rotations with (T,) whether they are known; None if there are none."""
     from scipy.spatial.transform import Rotation
 
     kinds = ("quaternion", "rotation_vector", "angle")
@@ -261,47 +271,70 @@ def _turns(
     usual = channel.usual.get("angle", ())
     if not said and usual and all(column in source.columns for column in usual):
         said = ["angle"]
-    for kind in said or kinds:
+    for kind in said or (kinds if own else ()):
         columns = _columns(source, kind, channel)
         if not columns:
             continue
-        cells = np.column_stack([source.numbers(column) for column in columns])
+        scale = 1.0 if kind == "quaternion" else channel.unit.get("angle", ANGLES[source.angle])
+        cells = scale * np.column_stack([source.numbers(column) for column in columns])
         if kind == "angle":
-            return np.asarray(channel.unit.get("angle", 1.0) * cells[:, 0])
+            return np.asarray(cells[:, 0])
         known = np.asarray(np.isfinite(cells).all(axis=1))
         if kind == "quaternion":
             known = known & (np.linalg.norm(cells, axis=1) > 0.5)
-        turns = np.tile(np.eye(3), (len(cells), 1, 1))
+        turns = np.full((len(cells), 3, 3), np.nan)
         if known.any():
             make = Rotation.from_quat if kind == "quaternion" else Rotation.from_rotvec
-            scale = 1.0 if kind == "quaternion" else channel.unit.get("angle", 1.0)
-            turns[known] = make(scale * cells[known]).as_matrix()
+            turns[known] = make(cells[known]).as_matrix()
         return turns, known
     if name == "object_pose":
         raise DatasetError(
             f"{source.where}: which column is the object's angle, or its quaternion? {source.listed}"
         )
-    return np.zeros(len(source))
+    return None
+
+
+def _looks_down(frame: FloatArray, where: str) -> bool:
+    """Whether the upward axis of a source points down on the table, given the (4, 4) pose of its frame.
+
+    Raises:
+        DatasetError: it is far from vertical, so that an angle about it is none on the table.
+    """
+    tilt = float(np.degrees(np.arccos(min(abs(frame[2, 2]), 1.0))))
+    if tilt > _STEEP:
+        raise DatasetError(
+            f"{where}: the z axis of `frame` is {tilt:.0f}° from the vertical, so the `angle` does not turn"
+            " about it; correct `frame` or `up`, or give the rotation as a `quaternion` or `rotation_vector`"
+        )
+    return bool(frame[2, 2] < 0.0)
+
+
+def _about(axis: str, angles: FloatArray) -> FloatArray:
+    """(T, 3, 3) rotations about x, y or z; NaN where the angle, in rad, is."""
+    from scipy.spatial.transform import Rotation
+
+    known = np.isfinite(angles)
+    turns = np.full((len(angles), 3, 3), np.nan)
+    if known.any():
+        turns[known] = Rotation.from_euler(axis, angles[known, None]).as_matrix()
+    return turns
 
 
 def _offset_taken_off(
-    values: FloatArray,
-    channel: ChannelSetup,
-    name: str,
-    matrices: FloatArray | None,
-    up: str,
+    values: FloatArray, channel: ChannelSetup, name: str, axes: FloatArray | None
 ) -> FloatArray:
-    """Poses of the outline's frame, or positions of the finger's centre, from the tracked ones."""
+    """Poses of the outline's frame, or positions of the finger's centre, from the tracked ones.
+
+    Args:
+        axes: (T, 3, 3) axes of the tracked frame, with which the finger's offset turns, as columns; None if
+            its rotation is unknown, and the offset is along those of the table.
+    """
     if channel.offset is None:
         return values
-    offset = channel.offset
+    offset = np.append(channel.offset, np.zeros(3 - len(channel.offset)))
     if name == "object_pose":
-        return compose(values, np.append(offset, np.zeros(3 - len(offset))))
-    if len(offset) == 3 and matrices is not None:
-        # In the tool's axes.
-        shift = (matrices @ _TO_TABLE[up] @ offset)[:, :2]
-    else:
-        shift = offset[:2]
+        return compose(values, offset)
+    shift = offset[:2] if axes is None else (axes @ offset)[:, :2]
     return np.column_stack([values[:, :2] + shift, values[:, 2]])
 
 

@@ -307,21 +307,52 @@ def _pushes_told_apart(
         channel: np.array([parsing.push_label(text) for text in sources[channel].texts(column)])
         for channel, column in columns.items()
     }
-    for push in dict.fromkeys(numbers["object_pose"].tolist()):
-        if not push:
-            raise DatasetError(
-                f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
-                " each row belongs to"
-            )
-        yield (
-            f"{name}#{push}",
-            {
-                channel: source.chosen(np.flatnonzero(numbers[channel] == push))
-                if channel in numbers
-                else source
-                for channel, source in sources.items()
-            },
+    pushes = list(dict.fromkeys(numbers["object_pose"].tolist()))
+    if "" in pushes:
+        raise DatasetError(
+            f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
+            " each row belongs to"
         )
+    parts = {
+        channel: [source.chosen(np.flatnonzero(numbers[channel] == push)) for push in pushes]
+        if channel in numbers
+        else _parts_without_numbers(channel, sources, said, columns["object_pose"], len(pushes))
+        for channel, source in sources.items()
+    }
+    for number, push in enumerate(pushes):
+        yield f"{name}#{push}", {channel: part[number] for channel, part in parts.items()}
+
+
+def _parts_without_numbers(
+    channel: str, sources: Mapping[str, Source], said: ImportSetup, column: str, count: int
+) -> list[Source]:
+    """The table of a channel for each of `count` pushes that only the object's table numbers.
+
+    It is cut where its stamps start anew. If they never do, the whole serves every push: the object's stamps
+    do not either, or contact aligns the two.
+
+    Raises:
+        DatasetError: the stamps start anew more or less often than the pushes are numbered.
+    """
+    source, tracked = sources[channel], sources["object_pose"]
+    pieces = _cut_at_new_starts(source, said.channels[channel])
+    if len(pieces) == 1 and (
+        _is_aligned(channel, sources, said)
+        or len(_cut_at_new_starts(tracked, said.channels["object_pose"])) == 1
+    ):
+        return [source] * count
+    if len(pieces) != count:
+        raise DatasetError(
+            f"{tracked.where}: {column} numbers {count} pushes, but the stamps of {channel} in"
+            f" {source.where} start anew {len(pieces) - 1} times; number the pushes there, too, and"
+            f" name the column with {channel}.push, or give each push its own files"
+        )
+    return [source.chosen(rows) for rows in pieces]
+
+
+def _cut_at_new_starts(source: Source, channel: ChannelSetup) -> list[NDArray[np.int_]]:
+    """The rows of a table, cut where stamps go back to the start."""
+    return np.split(np.arange(len(source)), _new_starts(times(source, channel)[0]))
 
 
 def _cut_where_stamps_start_anew(
@@ -329,8 +360,7 @@ def _cut_where_stamps_start_anew(
 ) -> Iterator[tuple[str, dict[str, Source]]]:
     """The recording cut where stamps go back to the start; unchanged if they never do."""
     pieces = {
-        channel: np.split(np.arange(len(source)), _new_starts(times(source, said.channels[channel])[0]))
-        for channel, source in sources.items()
+        channel: _cut_at_new_starts(source, said.channels[channel]) for channel, source in sources.items()
     }
     count = len(pieces["object_pose"])
     for channel, rows in pieces.items():
@@ -371,7 +401,10 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
 def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
     """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
-    found = {channel: mapped(source, channel, said.channels[channel]) for channel, source in sources.items()}
+    found = {
+        channel: mapped(source, channel, said.channels[channel], own=_is_own(source, channel, sources))
+        for channel, source in sources.items()
+    }
     steps = [f"{channel}: {text}" for channel, one in found.items() for text in one.done]
     doubts = [text for one in found.values() for text in one.doubts]
     tables = {channel: one.table for channel, one in found.items()}
@@ -379,10 +412,11 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     zero = float(np.floor(tables["object_pose"][0, 0])) if epochs["object_pose"] else 0.0
     for channel, rows in tables.items():
         clock = said.channels[channel].clock
+        for stamps in (rows[:, 0], found[channel].lifted):  # rounded alike, so that they stay equal
+            stamps += clock if isinstance(clock, float) else 0.0
+            stamps -= zero
         if isinstance(clock, float):
-            rows[:, 0] += clock
             steps.append(f"{channel}: {clock:g} s added to the stamps")
-        rows[:, 0] -= zero
     if zero:
         steps.append(f"times count from {zero:.0f} s since 1970")
     if "tip_pose" not in tables:
@@ -392,15 +426,14 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     trial, more = trial_from_tables(name, "fit", tables, name, longest=_LONGEST)
     doubts += more
     if "tip_pose" in found and len(found["tip_pose"].lifted):
-        trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
+        trial = _far_where_lifted(trial, found["tip_pose"].lifted)
     force_lags: list[Lag | None] = []
     fingers: Lag | None = None
     for channel in ("tip_pose", "ft_wrench"):
         if channel not in sources:
             continue
         clock = said.channels[channel].clock
-        other_file = sources[channel].file != sources["object_pose"].file
-        if clock == CONTACT or (clock is None and other_file):
+        if _is_aligned(channel, sources, said):
             near = epochs["object_pose"] and epochs[channel] and clock is None
             if channel == "tip_pose":
                 lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
@@ -440,12 +473,22 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags)
 
 
-def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
-    """The trial with the finger placed far away while it is lifted, when it may pass over the object."""
-    clock = said.channels["tip_pose"].clock
-    shift = (clock if isinstance(clock, float) else 0.0) - zero
+def _is_aligned(channel: str, sources: Mapping[str, Source], said: ImportSetup) -> bool:
+    """Whether contact brings a channel to the object's clock: another file does not share it by itself."""
+    clock = said.channels[channel].clock
+    return clock == CONTACT or (clock is None and sources[channel].file != sources["object_pose"].file)
+
+
+def _is_own(source: Source, channel: str, sources: Mapping[str, Source]) -> bool:
+    """Whether a rotation in a channel's table is its own: not a finger's beside the object's poses."""
+    tracked = sources["object_pose"]
+    return channel == "object_pose" or (source.file, source.part) != (tracked.file, tracked.part)
+
+
+def _far_where_lifted(trial: Trial, lifted: FloatArray) -> Trial:
+    """The trial with the finger far away at the stamps where it is lifted, and may pass over the object."""
     tip = trial.tip_pose
-    far = np.isin(tip.time, lifted + shift)
+    far = np.isin(tip.time, lifted)
     return replace(trial, tip_pose=Channel(tip.time, tip.values + np.where(far, _NOWHERE, 0.0)[:, None]))
 
 

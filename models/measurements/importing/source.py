@@ -55,6 +55,7 @@ class Source:
     columns: Mapping[str, Column]  # by name, all of equal length
     time: FloatArray | None = None  # (T,) s, if the kind of file determines the column
     length: str = "m"  # unit of lengths, by the file or its kind
+    angle: str = "rad"  # unit of angles and rotation vectors
     up: str = "z"  # axis that points up, by the kind of file
     decimal: str = "."  # decimal sign of numbers in texts; empty if commas may also separate thousands
     first_row: int = 0  # number of the first row in error messages
@@ -76,7 +77,7 @@ class Source:
         """
         if column in self.columns:
             return column
-        if column.isdigit() and int(column) < len(self.columns):
+        if column.isascii() and column.isdecimal() and int(column) < len(self.columns):
             return list(self.columns)[int(column)]
         raise DatasetError(f"{self.where}: there is no column {parsing.shown(column)}; {self.listed}")
 
@@ -108,6 +109,8 @@ class Source:
         if self.decimal == ",":
             texts = [_with_point(cell) for cell in cells]
         try:
+            if any("_" in text for text in texts):
+                raise ValueError
             return np.array([text or "nan" for text in texts], dtype=float)
         except ValueError:
             pairs = enumerate(zip(texts, cells, strict=True))

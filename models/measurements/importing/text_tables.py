@@ -32,6 +32,7 @@ _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3}){2,}")
 _LINES_SNIFFED = 30
+_DAY = 86400.0  # s
 _LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "m": "m", "cm": "cm", "mm": "mm"}
 
 
@@ -77,7 +78,7 @@ def _sign(lines: Sequence[str]) -> str | None:
 
 def _decimal_commas(sample: Sequence[str]) -> bool:
     """Whether the commas are decimal commas of numbers between blanks."""
-    cells = sample[-1].split()
+    cells = sample[-1].split() if sample else []
     return len(cells) > 1 and all(re.fullmatch(r"[-+]?\d+(,\d+)?(e[-+]?\d+)?", cell, re.I) for cell in cells)
 
 
@@ -139,6 +140,8 @@ def _is_header(comment: str, line: str, sign: str | None) -> bool:
 
 
 def _numeric(cell: str, decimal: str = ".") -> bool:
+    if "_" in cell:  # which Python takes between digits
+        return False
     try:
         float(cell.replace(decimal or ",", ".") or "nan")
     except ValueError:
@@ -195,8 +198,9 @@ def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple
     """(T,) times, s, from one column or from seconds and nanoseconds, and a remark on how they were read, or
     "".
 
-    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count in units of
-    `unit` seconds; without one, stamps since 1970 are recognised by their size and all others are in s.
+    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds, which go on past midnight.
+    Numbers count in units of `unit` seconds; without one, stamps since 1970 are recognised by their size and
+    all others are in s.
     """
     if len(columns) == 2:
         return source.numbers(columns[0]) + 1e-9 * source.numbers(columns[1]), ""
@@ -204,7 +208,9 @@ def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple
     if not isinstance(cells, np.ndarray):
         first = next((cell.strip() for cell in cells if cell.strip()), "")
         if _moment(first) is not None and not _numeric(first, source.decimal):
-            return _moments(source, columns[0]), f"{columns[0]} holds times such as {parsing.shown(first)}"
+            time = _moments(source, columns[0])
+            told = f"{columns[0]} holds times such as {parsing.shown(first)}"
+            return _past_midnight(time) if _CLOCK.match(first) else time, told
     time = source.numbers(columns[0])
     if unit is not None:
         return unit * time, ""
@@ -223,6 +229,15 @@ def _moments(source: Source, column: str) -> FloatArray:
             raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is not a time")
         result.append(value)
     return np.array(result)
+
+
+def _past_midnight(time: FloatArray) -> FloatArray:
+    """(T,) times of day, s, with a day added wherever they fall by more than half a day."""
+    known = np.flatnonzero(np.isfinite(time))
+    days = np.cumsum(np.diff(time[known], prepend=time[known[:1]]) < -0.5 * _DAY)
+    result = time.copy()
+    result[known] += _DAY * days
+    return result
 
 
 def _moment(cell: str) -> float | None:
@@ -323,6 +338,7 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
     names, name = rows[place - 1], ""
     bodies: dict[str, dict[str, Column]] = {}
     lengths: dict[str, str] = {}
+    angles: dict[str, str] = {}
     for k, column in enumerate(cell.strip() for cell in rows[place]):
         if k < len(names) and names[k].strip():
             name = re.sub(r"^Global Angle ", "", names[k].strip())
@@ -332,14 +348,14 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
             values[column[-1].lower()] = table.numbers(str(k))
             lengths[name] = _LENGTHS.get(unit, "mm")
         elif column in ("RX", "RY", "RZ", "RW"):
-            in_degrees = "deg" in unit
-            values[f"r{column[1].lower()}"] = table.numbers(str(k)) * (np.pi / 180.0 if in_degrees else 1.0)
+            values[f"r{column[1].lower()}"] = table.numbers(str(k))
+            angles[name] = "deg" if "deg" in unit else "rad"
     sources = []
     for name, values in bodies.items():
         if "rw" in values:
             values = {column.replace("r", "q"): cells for column, cells in values.items()}
         if {"x", "y", "z"} <= values.keys():
-            sources.append(Source(where, name, values, time, lengths[name]))
+            sources.append(Source(where, name, values, time, lengths[name], angles.get(name, "rad")))
     if not sources:
         raise DatasetError(f"{where}: contains no object with a position (TX, TY, TZ)")
     return sources

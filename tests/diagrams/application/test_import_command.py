@@ -58,6 +58,16 @@ def test_import_and_check(slipmap, lab, monkeypatch):
     assert "imported from push.csv" in page
 
 
+def test_a_picture_that_is_not_an_imports_own_is_kept(slipmap, lab):
+    (lab / "pushes.png").write_bytes(b"a photograph")
+    words = ("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
+    said = slipmap(*words)
+    assert said.code == 2 and "pushes.png: exists already" in said.err and "reading" not in said.err
+    assert (lab / "pushes.png").read_bytes() == b"a photograph" and not (lab / "pushes").exists()
+    (lab / "pushes.png").unlink()
+    assert [slipmap(*words).code for _ in range(2)] == [0, 0]  # the second replaces what the first wrote
+
+
 def test_an_import_that_is_stopped_leaves_neither_dataset_nor_picture(slipmap, lab, monkeypatch):
     def stopped(dataset, folder, **how):
         write_dataset(dataset, folder, **how)

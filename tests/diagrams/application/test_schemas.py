@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
 from schemas import FOLDER, NAMES, assert_as_described, validator
 
-from slipmap.diagrams.application.command_line import slipmap
+import slipmap
+from slipmap.diagrams.application import command_line
 from slipmap.models.measurements import KnownMaps
 from slipmap.models.measurements.known_maps import known_document
 from slipmap.models.measurements.setup_description import parse_setup
@@ -27,7 +30,7 @@ def test_a_schema_is_one(name):
 def test_every_command_that_writes_json_has_a_schema():
     with_json = {
         name
-        for name, command in slipmap.commands.items()
+        for name, command in command_line.slipmap.commands.items()
         if any(parameter.name == "json_file" for parameter in command.params)
     }
     assert len(with_json) > 10 and with_json <= set(NAMES)
@@ -39,6 +42,23 @@ def test_a_dataset_that_is_written_is_as_described(demo_folder):
     assert_as_described("push-dataset", described)
     for entry in described["trials"]:
         assert_as_described("push-trial", json.loads((pushes / entry["file"]).read_text(encoding="utf-8")))
+
+
+def test_openings_places_and_single_rows_that_are_written_are_as_described(tmp_path):
+    """Of a frame whose first push was left out, in which nothing but the tip's place is known."""
+    ring = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
+    grid = slipmap.cells_from_polygon(ring, [0.4 * ring])
+    pushes = [
+        {"object_pose": [[0.0, 0.0, 0.0, 0.0], [1.0, way, 0.0, 0.0]], "tip_pose": [[0.0, 1.0, 0.0]]}
+        for way in (0.01, 0.02)
+    ]
+    dataset = slipmap.dataset_from_arrays(pushes, grid, finger_radius=0.006, keep_all=True)
+    folder = slipmap.write_dataset(replace(dataset, trials=dataset.trials[1:]), tmp_path / "pushes")
+    described = yaml.safe_load((folder / "dataset.yaml").read_text(encoding="utf-8"))
+    (entry,) = described["trials"]
+    assert entry["order"] == 1 and len(described["object"]["holes"]) == 1
+    assert_as_described("push-dataset", described)
+    assert_as_described("push-trial", json.loads((folder / entry["file"]).read_text(encoding="utf-8")))
 
 
 def test_the_least_dataset_of_the_page_is_as_described():

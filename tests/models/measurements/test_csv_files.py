@@ -46,6 +46,15 @@ def test_a_folder_order_of_columns_and_line_ends_do_not_matter(tmp_path):
     assert dataset.trials[2].tip_pose.values[0, 1] == 0.002
 
 
+def test_files_are_in_the_order_of_the_numbers_in_their_names(tmp_path):
+    for push in (8, 9, 10, 11):
+        write(tmp_path / "pushes", lines(push), name=f"push {push}.csv")
+    dataset = read_dataset(tmp_path / "pushes", object_name="rect1")
+    assert [(trial.name, trial.role) for trial in dataset.trials] == [
+        ("push 8.csv", "fit"), ("push 9.csv", "fit"), ("push 10.csv", "fit"), ("push 11.csv", "heldout"),
+    ]  # fmt: skip
+
+
 def test_force_can_be_left_out_or_left_empty(tmp_path):
     short = [",".join(row.split(",")[:6]) for row in lines()]
     bare = write(tmp_path, short, ",".join(HEADER.split(",")[:6]))

@@ -47,8 +47,9 @@ def test_trial_refuses_wrong_columns_roles_and_single_poses():
 
 
 def test_an_order_is_a_place():
-    for order in (-1, 1.5):
-        with pytest.raises(DatasetError, match=rf"a\.json: order must be a whole number from 0, got {order}"):
+    for order in (-1, 1.5, 1_000_001):
+        said = rf"a\.json: order must be a whole number from 0 to 1000000, got {order}"
+        with pytest.raises(DatasetError, match=said):
             Trial("a.json", "fit", channel(5, 3), channel(5, 2), order=order)
 
 

@@ -57,8 +57,9 @@ def test_places_in_the_experiment_are_those_of_the_rows_or_as_said(example, tmp_
     assert [trial.order for trial in read_dataset(written).trials] == [1, 2]
     for row, order, said in (
         (1, 2, "trials, row 2: order 2 is also that of another trial"),
-        (1, -1, "row 1: order must be a whole number from 0, got -1"),
-        (1, True, "row 1: order must be a whole number from 0, got True"),
+        (1, -1, "row 1: order must be a whole number from 0 to 1000000, got -1"),
+        (1, True, "row 1: order must be a whole number from 0 to 1000000, got True"),
+        (1, 10**7, "row 1: order must be a whole number from 0 to 1000000, got 10000000"),
     ):
         rows[row]["order"] = order
         with pytest.raises(DatasetError, match=said):

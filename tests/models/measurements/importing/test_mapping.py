@@ -108,6 +108,59 @@ def test_an_offset_in_the_tools_axes(tmp_path):
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
 
 
+@pytest.mark.parametrize("offset", ["[0.04, 0.01]", "[0.04, 0.01, 0.1]"])
+@pytest.mark.parametrize("by", ["angle: yaw", "angle: back, sign: -1", "quaternion: q"])
+def test_an_offset_turns_with_an_upright_tool(tmp_path, offset, by):
+    """Seen from a robot's base that is itself turned by 30° on the table."""
+    yaw = np.pi / 2 + 0.2 * TIME
+    base = np.array([0.3, -0.2, np.radians(30.0)])
+    tool = np.column_stack([seen_from(TIP, base), yaw])
+    flange = compose(tool, np.array([-0.04, -0.01, 0.0]))
+    quaternion = Rotation.from_euler("z", yaw[:, None]).as_quat()
+    trial = trial_of(
+        tmp_path, ["t", "a", "b", "c", "d", "e", "yaw", "back", "q_x", "q_y", "q_z", "q_w"],
+        [TIME, POSE, flange[:, :2], yaw, -yaw, quaternion],
+        "object_pose: {position: [a, b], angle: c}\n"
+        f"tip_pose: {{position: [d, e], {by}, offset: {offset}, frame: [0.3, -0.2, 30 deg]}}\n",
+    )  # fmt: skip
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+@pytest.mark.parametrize("turn", [["qx", "qy", "qz", "qw"], ["rx", "ry", "rz"]])
+def test_the_objects_rotation_is_not_the_fingers(tmp_path, turn):
+    rotation = Rotation.from_rotvec(TURNED[:, 2:] * [0, 0, 1])
+    cells = rotation.as_quat() if len(turn) == 4 else rotation.as_rotvec()
+    trial = trial_of(
+        tmp_path, ["t", "x", "y", *turn, "a", "b"], [TIME, TURNED[:, :2], cells, TIP - [0.004, 0.0]],
+        "tip_pose: {position: [a, b], offset: [0.004, 0, 0.1]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_the_rotation_in_the_fingers_own_file_is_its_own(tmp_path):
+    quaternion = np.tile(Rotation.from_euler("z", 90, degrees=True).as_quat(), (len(TIME), 1))
+    names = ["t", "x", "y", "qx", "qy", "qz", "qw"]
+    written(tmp_path / "object.csv", ["t", "x", "y", "theta"], [TIME, POSE])
+    written(tmp_path / "finger.csv", names, [TIME, TIP - [0.0, 0.004], quaternion], form="{:.9f}")
+    (tmp_path / "setup.yaml").write_text(
+        SETUP + "object_pose: {source: object.csv}\n"
+        "tip_pose: {source: finger.csv, offset: [0.004, 0], clock: 0}\n"
+    )
+    (trial,) = import_dataset(tmp_path, tmp_path / "setup.yaml").trials
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-6)
+
+
+def test_a_finger_is_left_out_where_the_rotation_its_offset_needs_is_unknown(tmp_path):
+    yaw = np.where(TIME < 1.0, np.pi / 2, np.nan)
+    trial = trial_of(
+        tmp_path, ["t", "a", "b", "c", "d", "e", "yaw"], [TIME, POSE, TIP - [0.0, 0.01], yaw],
+        "object_pose: {position: [a, b], angle: c}\n"
+        "tip_pose: {position: [d, e], angle: yaw, offset: [0.01, 0]}\n",
+    )  # fmt: skip
+    assert trial.tip_pose.values == pytest.approx(TIP[TIME < 1.0], abs=1e-7)
+
+
 def test_frames_and_rates(tmp_path):
     trial = trial_of(
         tmp_path, ["Frame", "a", "b", "c"], [np.arange(len(TIME)), POSE],
@@ -143,6 +196,8 @@ def test_a_wrong_axis_is_said(tmp_path):
         ("object_pose: {position: [a, b]}", "object's angle"),
         ("object_pose: {position: [a, b], angle: c, time: when}", "no column 'when'"),
         ("object_pose: null", "is null"),
+        ("csv: {object_x: {unit: mm}}", "setup.yaml: csv: object_x and object_y have different units"),
+        ("csv: {force_x: {unit: mN}}", "csv: force_x and force_y have different units"),
     ],
 )
 def test_a_wrong_setup_is_refused(tmp_path, setup, fault):
@@ -195,3 +250,29 @@ def test_an_angle_about_an_axis_that_points_down_turns_the_other_way(tmp_path):
     )  # fmt: skip
     assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+@pytest.mark.parametrize("up", ["z", "-z"])
+def test_an_angle_in_a_frame_that_looks_down_turns_the_other_way(tmp_path, up):
+    """As of a camera above the table. `up: -z` turns the source over once more, before its frame does."""
+    turn = Rotation.from_euler("z", 30, degrees=True) * Rotation.from_euler("x", 180, degrees=True)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn.as_matrix(), [0.3, -0.2, 1.0]
+    side = 1.0 if up == "z" else -1.0
+    place, tip = (((one - [0.3, -0.2]) @ matrix[:2, :2]) * [1.0, side] for one in (TURNED[:, :2], TIP))
+    for frame in (matrix.tolist(), [0.3, -0.2, 1.0, *turn.as_quat().tolist()]):
+        trial = trial_of(
+            tmp_path, ["t", "a", "b", "c", "d", "e"],
+            [TIME, place, side * (np.radians(30.0) - TURNED[:, 2]), tip],
+            f"up: '{up}'\nframe: {frame}\nobject_pose: {{position: [a, b], angle: c}}\n"
+            "tip_pose: {position: [d, e]}\n",
+        )  # fmt: skip
+        assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+        assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_an_angle_in_a_frame_on_its_side_is_refused(tmp_path):
+    frame = [0.0, 0.0, 0.0, *Rotation.from_euler("x", 50, degrees=True).as_quat().tolist()]
+    says = f"frame: {frame}\ntip_pose: null\nobject_pose: {{position: [a, b], angle: c}}\n"
+    with pytest.raises(DatasetError, match=r"push\.csv: object_pose: .* 50° from the vertical"):
+        trial_of(tmp_path, ["t", "a", "b", "c"], [TIME, POSE], says)

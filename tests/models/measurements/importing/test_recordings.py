@@ -37,6 +37,19 @@ def test_files_go_together_by_what_stands_under_the_star(tmp_path):
     assert "tip_pose: 0.5 s added to the stamps" in dataset.provenance
 
 
+def test_files_are_in_the_order_of_the_numbers_in_their_names(tmp_path):
+    """Also in folders, and pushes 10 to 12 are held out, not 7 to 9."""
+    for k in range(1, 13):
+        folder = tmp_path / f"day {9 + (k > 10)}"
+        folder.mkdir(exist_ok=True)
+        written(folder / f"push_{k}.csv", ["t", "x", "y", "theta"], [TIME, POSE + 0.01 * k])
+    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {position: [x, y]}\ntip_pose: null\n")
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
+    names = [f"day {9 + (k > 10)}/push_{k}.csv" for k in range(1, 13)]
+    assert [trial.name for trial in dataset.trials] == names
+    assert [trial.role for trial in dataset.trials] == ["fit"] * 9 + ["heldout"] * 3
+
+
 def test_a_file_without_its_partner_is_named(tmp_path):
     pairs(tmp_path, 3)
     (tmp_path / "robot_1.csv").unlink()
@@ -166,6 +179,17 @@ def test_a_guess_says_that_commas_may_mean_either(tmp_path):
         guess_setup(tmp_path / "p.csv")
 
 
+@pytest.mark.parametrize("stem", ['the "block" ', "block\\", "Klötzchen: "])
+def test_a_guess_quotes_any_name(tmp_path, stem):
+    names = ["t", f"{stem}x", f"{stem}y", f"{stem}yaw"]
+    header = ",".join('"{}"'.format(name.replace('"', '""')) for name in names)
+    rows = [",".join(f"{cell:.6f}" for cell in row) for row in np.column_stack([TIME, POSE])]
+    (tmp_path / "p.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    text = guess_setup(tmp_path / "p.csv")
+    assert yaml.safe_load(text)["object_pose"] == {"position": names[1:3], "angle": names[3], "time": "t"}
+    assert "\\u" not in text
+
+
 def test_columns_in_an_unknown_unit_are_named_with_the_known_ones(tmp_path):
     names = ["t", "block X (mm)", "block Y (mm)", "block_yaw", "probe X (in)", "probe Y (in)"]
     names += ["Fx (gf)", "Fy (gf)"]
@@ -268,6 +292,33 @@ def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp
     assert any("as for the finger in the same file" in step for step in read.provenance)
 
 
+def test_midnight_is_no_new_start(tmp_path):
+    seconds = 59.0 + TIME
+    clock = [f"23:59:{now:09.6f}" if now < 60.0 else f"00:00:{now - 60.0:09.6f}" for now in seconds]
+    places = np.column_stack([POSE, TIP])
+    rows = (",".join([now, *map(str, row)]) for now, row in zip(clock, places, strict=True))
+    (tmp_path / "p.csv").write_text("\n".join(["t,x,y,theta,a,b", *rows]))
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    (trial,) = import_dataset(tmp_path / "p.csv", tmp_path / "s.yaml").trials
+    assert np.diff(trial.object_pose.time) == pytest.approx(np.diff(TIME), abs=1e-6)
+
+
+@pytest.mark.parametrize("clock", [0.0, 0.1, 1700000000.01])
+def test_a_lifted_finger_touches_nothing_whatever_is_added_to_its_stamps(tmp_path, clock):
+    """It passes over the object at the end."""
+    since = 1.7e9 if clock > 1e9 else 0.0
+    height = np.where(TIME < 1.3, 0.01, 0.08)
+    over = np.where(TIME[:, None] < 1.3, TIP, TIP + np.array([0.04, 0.0]))
+    written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], [since + TIME, POSE])
+    written(tmp_path / "robot.csv", ["t", "a", "b", "c"], [TIME + 0.0033 - clock + since, over, height])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\n"
+        f"tip_pose: {{source: robot.csv, position: [a, b, c], clock: {clock}}}\n"
+    )
+    (trial,) = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.tip_pose.values == pytest.approx(TIP[TIME < 1.3], abs=1e-6)
+
+
 @pytest.mark.parametrize("again", [0.0, 0.02, -0.03])
 def test_stamps_that_start_anew_part_the_pushes(tmp_path, again):
     columns = [
@@ -297,6 +348,34 @@ def test_a_push_has_one_number_however_files_write_it(tmp_path):
     dataset = import_dataset(tmp_path, tmp_path / "s.yaml")
     assert [trial.name for trial in dataset.trials] == ["cam.csv#1", "cam.csv#2"]
     assert dataset.trials[1].tip_pose.values[0] == pytest.approx(TIP[0] + 0.01)
+
+
+def numbered_beside(tmp_path, finger_time, finger):
+    """Two numbered pushes of the object, and a file of the finger that does not number them."""
+    columns = [np.repeat([1, 2], len(TIME)), np.tile(TIME, 2), np.concatenate([POSE, POSE + 0.01])]
+    written(tmp_path / "cam.csv", ["push_id", "t", "x", "y", "theta"], columns)
+    written(tmp_path / "robot.csv", ["t", "a", "b"], [finger_time, finger])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\ntip_pose: {source: robot.csv, position: [a, b], clock: 0}\n"
+    )
+    return import_dataset(tmp_path, tmp_path / "s.yaml")
+
+
+def test_stamps_that_start_anew_go_with_the_numbers_of_another_file(tmp_path):
+    dataset = numbered_beside(tmp_path, np.tile(TIME, 2), np.concatenate([TIP, TIP + 0.01]))
+    assert [trial.name for trial in dataset.trials] == ["cam.csv#1", "cam.csv#2"]
+    for k, trial in enumerate(dataset.trials):
+        assert trial.tip_pose.values == pytest.approx(TIP + 0.01 * k, abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_stamps_that_start_anew_more_or_less_often_than_the_numbers_are_refused(tmp_path, count):
+    with pytest.raises(
+        DatasetError,
+        match=r"cam\.csv: push_id numbers 2 pushes, .* tip_pose in robot\.csv start anew "
+        rf"{count - 1} times",
+    ):
+        numbered_beside(tmp_path, np.tile(TIME, count), np.tile(TIP, (count, 1)))
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,23 @@ def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
         table.numbers("phase")
 
 
+def test_underscores_make_no_numbers(tmp_path):
+    """Though Python reads 1_0 as 10."""
+    (table,) = source(tmp_path, "t,x\n0,1.5\n0.5,1_0\n")
+    with pytest.raises(DatasetError, match=r"a\.csv, row 1, x: '1_0' is not a number"):
+        table.numbers("x")
+    (table,) = source(tmp_path, "1_0,2_0\n0,1.5\n")
+    assert table.numbers("2_0") == [1.5]
+
+
+def test_only_digits_number_a_column(tmp_path):
+    (table,) = source(tmp_path, "t,x\n0,1.5\n")
+    assert table.name_of("1") == "x"
+    for odd in ("²", "１", "-1"):
+        with pytest.raises(DatasetError, match=f"there is no column '{odd}'"):
+            table.name_of(odd)
+
+
 def test_a_text_with_a_comma_makes_no_decimal_commas(tmp_path):
     (table,) = source(tmp_path, "t\tx\tnote\n0\t1.5\tok\n0.5\t-2.25\t1,2\n")
     assert table.numbers("x") == pytest.approx([1.5, -2.25])
@@ -106,6 +123,11 @@ def test_numbers_of_pushes_keep_all_their_digits():
         (["2024-02-06T15:25:00.020", "2024-02-06T15:25:01.5"], [1707233100.02, 1707233101.5]),
         (["2024-02-06 15:25:00.020Z", "2024-02-06 16:25:01.5+01:00"], [1707233100.02, 1707233101.5]),
         (["01:02:03.5", "01:02:04"], [3723.5, 3724.0]),
+        (["23:59:59.5", "", "00:00:00.5", "00:00:01"], [86399.5, np.nan, 86400.5, 86401.0]),
+        (["23:00:00", "01:00:00", "23:00:00", "01:00:00"], [82800.0, 90000.0, 169200.0, 176400.0]),
+        (["00:00:09", "00:00:10", "00:00:00", "00:00:01"], [9.0, 10.0, 0.0, 1.0]),  # starts again
+        (["01:00:00", "23:00:00"], [3600.0, 82800.0]),
+        (["2024-02-07T00:00:01", "2024-02-06T00:00:00"], [1707264001.0, 1707177600.0]),
         (["1700000000250000000", "1700000001000000000"], [1700000000.25, 1700000001.0]),
         (["1700000000250", "1700000001000"], [1700000000.25, 1700000001.0]),
         (["1700000000.25", "1700000001"], [1700000000.25, 1700000001.0]),
@@ -113,7 +135,7 @@ def test_numbers_of_pushes_keep_all_their_digits():
 )
 def test_times(tmp_path, cells, wanted):
     (table,) = source(tmp_path, "when,x\n" + "".join(f"{cell},1\n" for cell in cells))
-    assert seconds(table, ["when"], None)[0] == pytest.approx(wanted, abs=1e-6)
+    assert seconds(table, ["when"], None)[0] == pytest.approx(wanted, abs=1e-6, nan_ok=True)
 
 
 def test_rostopic_echo(tmp_path):
@@ -132,20 +154,23 @@ def test_vicon(tmp_path):
     block, finger = source(tmp_path, text)
     assert (block.part, finger.part, block.length) == ("lab:block", "lab:finger", "mm")
     assert np.diff(block.time) == pytest.approx([1 / 200])
-    assert block.numbers("rz") == pytest.approx(np.radians([90, 45]))
+    assert block.numbers("rz") == pytest.approx([90, 45]) and block.angle == "deg"
     assert finger.numbers("x") == pytest.approx([10, 11])
 
 
-def test_vicon_is_imported(tmp_path):
+@pytest.mark.parametrize(
+    ("unit", "times"), [("", 1.0), ("unit: {angle: deg}\n", 1.0), ("unit: {angle: rad}\n", np.degrees(1.0))]
+)
+def test_vicon_is_imported_in_its_unit_or_the_stated_one(tmp_path, unit, times):
     rows = np.column_stack(
-        [np.arange(len(TIME)), 0 * TIME, np.zeros((len(TIME), 2)), np.degrees(POSE[:, 2] + 0.3),
+        [np.arange(len(TIME)), 0 * TIME, np.zeros((len(TIME), 2)), np.degrees(POSE[:, 2] + 0.03),
          1e3 * POSE[:, :2], 30 + 0 * TIME]
     )  # fmt: skip
     head = "Objects\n100\n,,lab:block,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm\n"
     (tmp_path / "v.csv").write_text(head + "\n".join(",".join(f"{c:.6f}" for c in row) for row in rows))
-    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {part: block}\ntip_pose: null\n")
+    (tmp_path / "s.yaml").write_text(SETUP + unit + "object_pose: {part: block}\ntip_pose: null\n")
     (trial,) = import_dataset(tmp_path / "v.csv", tmp_path / "s.yaml").trials
-    assert trial.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.3]), abs=1e-6)
+    assert trial.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.03 * times]), abs=1e-6)
 
 
 def motive(order, axes, angles):
@@ -170,11 +195,20 @@ def test_motive_in_euler_angles(tmp_path):
     assert body.length == "m" and body.up == "y"
 
 
+def test_two_coordinates_of_a_motive_export_are_refused(tmp_path):
+    (tmp_path / "m.csv").write_text(motive("XYZ", "X,Y,Z", [(0, 40, 0)] * 20))
+    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {position: [x, z]}\ntip_pose: null\n")
+    with pytest.raises(DatasetError, match=r"m\.csv, b: object_pose: with up: y .* needs x, y and z"):
+        import_dataset(tmp_path / "m.csv", tmp_path / "s.yaml")
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
         ("", "empty"),
         ("t,x\n", "no rows"),
+        ("#\n", "no rows"),
+        ("# t,x\n#\n\n", "no rows"),
         ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
         ("a\0b", "not a text file"),
         ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
