@@ -33,7 +33,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 _FROM_CELL = (
     network.IIWA_STATUS, network.GRIPPER_STATUS,
-    network.CAMERA_DEPTH, network.CAMERA_COLOR, network.CAMERA_POSE,
+    network.CAMERA_DEPTH, network.CAMERA_COLOR, network.CAMERA_POSE, network.ABORT,
 )  # fmt: skip
 _TO_CELL = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
 

@@ -8,9 +8,11 @@ import zlib
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_image_array
+from pydrake.lcm import DrakeLcm
 
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import rules
-from slipmap.diagrams.testing.faults import KINDS, Fault, Link
+from slipmap.diagrams.testing.faults import KINDS, Fault, Link, Relay
 from tests.diagrams.hardware import good_messages
 
 PERIOD = 0.005
@@ -108,6 +110,24 @@ def test_a_spoilt_picture_is_still_one_that_can_be_unpacked():
     rule = rules(good_messages.WIDTH, good_messages.HEIGHT)["CAMERA_DEPTH"]
     for kind in ("zeros", "torn", "freeze"):
         rule.read(come(Fault("pictures", kind), picture, 21)[-1][1])
+
+
+def test_the_relay_passes_on_all_that_a_cell_says_and_hears():
+    cell, driver = DrakeLcm("memq://"), DrakeLcm("memq://")
+    relay = Relay(cell, driver, lambda: 0.0)
+    come: list[str] = []
+    ways = (cell, driver, (*network.ARM, *network.CAMERA, network.ABORT)), (
+        driver, cell, (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
+    )  # fmt: skip
+    for sends, hears, channels in ways:
+        for channel in channels:
+            hears.Subscribe(channel, lambda data, channel=channel: come.append(channel))
+            sends.Publish(channel, b"anything")
+        for side in (sends, hears):
+            side.HandleSubscriptions(0)
+        assert sorted(come) == sorted(channels)
+        come.clear()
+    relay.flush()
 
 
 def test_unknown_faults_are_told_with_what_there_is():
