@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from slipmap.diagrams.hardware.control import only_controller
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import LCM_URL, open_lcm
@@ -220,6 +221,7 @@ def open_cell(
     Raises:
         AssertionError: at the end of the block, if a planned fault has not started.
         HardwareError: a process could not be started, or a malformed address.
+        BadInput: with `faulty`, another process controls the cell.
         ValueError: neither a twin nor an address.
         ValueError, RendererUnavailable: as for `Station`.
 
@@ -251,6 +253,7 @@ def open_cell(
         relay = None
         if faulty:
             beyond, url = url, free_url()
+            processes.enter_context(only_controller(beyond))  # the driver locks only this side of the relay
             relay = RelayProcess(beyond, url)
             processes.callback(relay.close)
         recorder = CommandRecorder(url, folder / "commands.bin")
