@@ -15,8 +15,10 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
+from slipmap.diagrams.execution.requests import Health
 from slipmap.diagrams.hardware.control import real_cell, stopped_by_ctrl_c
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.hardware.network import ARM_PERIOD
 from slipmap.diagrams.loops.exploration_loop import (
     LoopOptions,
     RecordedRun,
@@ -235,7 +237,9 @@ def run_loop(
     longest: float,
     watch: Callable[[LoopStatus, Context], None],
 ) -> LoopEnd:
-    """Run a loop until its supervisor reaches a final mode, or until Ctrl-C; a loop can be run only once.
+    """Run a loop until its supervisor reaches a final mode and a stopped arm is at rest, or until Ctrl-C.
+
+    A loop can be run only once.
 
     Args:
         loop: with the systems of `exploration_loop`.
@@ -268,11 +272,13 @@ def run_loop(
     def monitor(root: Context) -> EventStatus:
         nonlocal seen
         status: LoopStatus = port.Eval(context_of_port)
+        if status.mode in last:
+            if _at_rest(loop, root):
+                return EventStatus.ReachedTermination(block, status.mode)
+            return EventStatus.DidNothing()
         now = status, int(root.get_time() / _WATCHED + 1e-6)
         if now != seen:
             seen = now
-            if status.mode in last:
-                return EventStatus.ReachedTermination(block, status.mode)
             if simulated and not first_look and status.mode in CHOOSING:
                 first_look.append(_frames(loop, root))
             watch(status, root)
@@ -328,6 +334,14 @@ def explored(
         ended.thinking + time.perf_counter() - started,
         repair,
     )
+
+
+def _at_rest(loop: Diagram, root: Context) -> bool:
+    """Whether the motion to rest after a fault has been sent to the arm; True without a guard or a fault."""
+    if not loop.HasSubsystemNamed("guard"):
+        return True
+    health: Health = output_of(loop, "guard", "health", root)
+    return bool(root.get_time() > health.rest + ARM_PERIOD)  # a command is sent a period after it was made
 
 
 def _frames(loop: Diagram, root: Context) -> FloatArray:
