@@ -98,7 +98,8 @@ class Faults:
         for planned in list(self._planned):
             doing, push, fault = planned
             words = {DOING.get(doing), BRINGS.get(doing)} - {None}
-            if done + 1 >= push and any(stage.endswith(str(word)) for word in words):
+            # A remark may follow what the robot does.
+            if done + 1 >= push and stage.partition(";")[0].endswith(tuple(map(str, words))):
                 self._planned.remove(planned)
                 self.now(fault)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.hardware.guard import GuardSettings
+from slipmap.diagrams.loops.exploration_run import DOING, ROUND
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
@@ -119,6 +120,17 @@ def test_planned_faults_begin_once_when_the_robot_gets_there():
         faults.when("pushing", stop, push=0)
     with pytest.raises(RuntimeError, match="nothing is running"):
         Faults().now(stop)
+
+
+def test_a_remark_on_the_object_does_not_hide_what_the_robot_does():
+    ordered: list[Fault] = []
+    faults = Faults(_way=SimpleNamespace(order=ordered.append))
+    stop = Fault("status", "stop")
+    faults.when("pushing", stop)
+    for doing in (DOING["looking"], DOING["pushing"]):
+        assert not ordered
+        faults.look(f"exploring: {doing}; {ROUND}", 0)
+    assert ordered == [stop]
 
 
 def test_a_fault_that_never_starts_fails_the_test(tmp_path):
