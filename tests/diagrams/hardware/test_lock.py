@@ -60,7 +60,7 @@ def test_addresses_are_the_same_if_their_messages_meet():
 
 def test_a_cell_behind_the_relay_of_faults_is_locked(tmp_path, monkeypatch):
     for part in ("CommandRecorder", "RelayProcess"):
-        made = SimpleNamespace(close=lambda: None, begun=list)
+        made = SimpleNamespace(close=lambda: None)
         monkeypatch.setattr(f"slipmap.diagrams.testing.cell.{part}", lambda *arguments, made=made: made)
     with open_cell(URL, tmp_path / "recordings", faulty=True):
         with pytest.raises(BadInput, match="drives the arm there"), only_controller(URL):

@@ -122,6 +122,22 @@ def test_planned_faults_begin_once_when_the_robot_gets_there():
         Faults().now(stop)
 
 
+def test_planned_faults_must_spoil_something():
+    begun: list[Fault] = []
+    faults = Faults(_way=SimpleNamespace(order=lambda fault: None, begun=begun))
+    soon, late = Fault("status", "stop", after=0.1), Fault("pictures", "stop", after=1e4)
+    for fault in (soon, late):
+        faults.when("pushing", fault)
+    faults.look("exploring: pushing", 0)
+    begun.append(soon)
+    with pytest.raises(AssertionError) as failed:
+        faults.require_started()
+    assert "pictures stop while pushing, push 1, 10000 s later" in str(failed.value)
+    assert "status" not in str(failed.value)
+    begun.append(late)
+    faults.require_started()
+
+
 def test_a_remark_on_the_object_does_not_hide_what_the_robot_does():
     ordered: list[Fault] = []
     faults = Faults(_way=SimpleNamespace(order=ordered.append))

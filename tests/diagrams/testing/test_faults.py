@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 import zlib
 
 import numpy as np
@@ -12,7 +13,8 @@ from pydrake.lcm import DrakeLcm
 
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import rules
-from slipmap.diagrams.testing.faults import KINDS, Fault, Link, Relay
+from slipmap.diagrams.testing.faults import KINDS, Fault, Link, Relay, RelayProcess
+from slipmap.diagrams.testing.twins import free_url
 from tests.diagrams.hardware import good_messages
 
 PERIOD = 0.005
@@ -66,6 +68,19 @@ def test_before_and_after_a_fault_messages_pass_as_they_are():
 
 def test_a_fault_begins_as_late_as_it_is_told_to():
     assert len(come(Fault("status", "stop", after=0.1))) == 40
+
+
+def test_a_fault_has_begun_once_it_has_spoilt_a_message():
+    link, jump = Link(network.IIWA_STATUS), Fault("status", "jump", 0.1, after=0.05)
+    for fault, ordered in (
+        (Fault("status", "stop", after=0.2), 0.0),  # another takes its place before it can begin
+        (jump, 0.1),
+        (Fault("status", "stop", seconds=0.001), 0.201),  # no message comes meanwhile
+    ):
+        link.order(fault, ordered)
+        for k in range(20):
+            link.through(status(k), round(ordered, 1) + PERIOD * k)
+    assert link.begun == [jump]
 
 
 def test_late_messages_come_with_their_own_stamps():
@@ -128,6 +143,24 @@ def test_the_relay_passes_on_all_that_a_cell_says_and_hears():
         assert sorted(come) == sorted(channels)
         come.clear()
     relay.flush()
+
+
+def test_the_relays_process_tells_which_faults_have_begun():
+    beyond, driver = free_url(), free_url()
+    stop, later = Fault("status", "stop", band=(0.0, 0.5)), Fault("pictures", "stop", after=1e4)
+    relay, cell = RelayProcess(beyond, driver), network.open_lcm(beyond)
+    try:
+        assert relay.begun == []
+        for fault in (stop, later):
+            relay.order(fault)
+        deadline = time.monotonic() + 10.0
+        while not relay.begun and time.monotonic() < deadline:
+            cell.Publish(network.IIWA_STATUS, status(0))
+            cell.Publish(network.CAMERA_DEPTH, b"anything")
+            time.sleep(0.01)
+        assert relay.begun == [stop]
+    finally:
+        relay.close()
 
 
 def test_unknown_faults_are_told_with_what_there_is():
