@@ -263,14 +263,14 @@ def run_loop(
         station.connect(context)
         simulator.set_target_realtime_rate(station.realtime_rate)
     started, thought = time.perf_counter(), time_in_place()
-    first_look: list[FloatArray] = []
+    X_SO: FloatArray | None = None
 
     block = loop.GetSubsystemByName(supervisor)
     port, context_of_port = block.GetOutputPort("status"), block.GetMyContextFromRoot(context)
     seen: tuple[LoopStatus | None, int] = None, -1
 
     def monitor(root: Context) -> EventStatus:
-        nonlocal seen
+        nonlocal seen, X_SO
         status: LoopStatus = port.Eval(context_of_port)
         if status.mode in last:
             if _at_rest(loop, root):
@@ -279,8 +279,8 @@ def run_loop(
         now = status, int(root.get_time() / _WATCHED + 1e-6)
         if now != seen:
             seen = now
-            if simulated and not first_look and status.mode in CHOOSING:
-                first_look.append(_frames(loop, root))
+            if simulated and X_SO is None and status.mode in CHOOSING:
+                X_SO = _frames(loop, root, output_of(loop, "perception", "object_pose", root).pose)
             watch(status, root)
         if simulated:
             station.after_step(context)
@@ -300,10 +300,13 @@ def run_loop(
     ended: LoopStatus = port.Eval(context_of_port)
     if interrupted:
         watch(ended, context)
+    if simulated and X_SO is None and (trials := output_of(loop, "logger", "trials", context)):
+        # No push was chosen after those recorded earlier, so the object lies where the last one left it.
+        X_SO = _frames(loop, context, trials[-1].object_pose.values[-1])
     return LoopEnd(
         ended,
         context,
-        first_look[0] if first_look else None,
+        X_SO,
         interrupted,
         time.perf_counter() - started,
         time_in_place() - thought,
@@ -344,9 +347,8 @@ def _at_rest(loop: Diagram, root: Context) -> bool:
     return bool(root.get_time() > health.rest + ARM_PERIOD)  # a command is sent a period after it was made
 
 
-def _frames(loop: Diagram, root: Context) -> FloatArray:
-    """(3,) pose of the true object's frame in the frame of the cells as seen now."""
+def _frames(loop: Diagram, root: Context, seen: FloatArray) -> FloatArray:
+    """(3,) pose X_SO of the true object's frame now in the frame of the cells, whose pose X_WS is `seen` (3,)."""
     X_WO = output_of(loop, "station", "truth.object_pose", root)
-    seen = output_of(loop, "perception", "object_pose", root).pose
     place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
     return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])
