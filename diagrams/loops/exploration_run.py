@@ -252,6 +252,7 @@ def run_loop(
 
     Raises:
         HardwareError: the real cell does not answer.
+        KeyboardInterrupt: a second Ctrl-C in a real cell.
     """
     gc.collect()  # the loop of an earlier run, which is large and has reference cycles
     simulator = Simulator(loop)
@@ -294,6 +295,8 @@ def run_loop(
             simulator.AdvanceTo(longest)
             interrupted = pressed()
     except KeyboardInterrupt:
+        if not simulated:  # the second one: the first stopped the arm
+            raise
         interrupted = True
     finally:
         gc.unfreeze()
@@ -348,7 +351,7 @@ def _at_rest(loop: Diagram, root: Context) -> bool:
 
 
 def _frames(loop: Diagram, root: Context, seen: FloatArray) -> FloatArray:
-    """(3,) pose X_SO of the true object's frame now in the frame of the cells, whose pose X_WS is `seen` (3,)."""
+    """(3,) pose X_SO of the true object's frame in the frame of the cells, given (3,) X_WS as seen now."""
     X_WO = output_of(loop, "station", "truth.object_pose", root)
     place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
     return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])

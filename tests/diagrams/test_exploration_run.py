@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable
 
+import pytest
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from slipmap.diagrams.execution.requests import Health
@@ -52,6 +55,22 @@ def loop_of(health: Health) -> Diagram:
 
 def ended(loop: Diagram, watch: Callable[[LoopStatus, Context], None] = lambda status, context: None):
     return run_loop(loop, "supervisor", ("finished", "failed"), LONGEST, watch)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_second_ctrl_c_in_a_real_cell_ends_everything_at_once(times):
+    left = [signal.SIGINT] * times
+
+    def press(status: LoopStatus, context: Context) -> None:
+        while left:
+            os.kill(os.getpid(), left.pop())
+
+    loop = loop_of(Health("stopped", "stopped by hand", "start again", FAULT))
+    if times == 1:
+        assert ended(loop, press).interrupted
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            ended(loop, press)
 
 
 def test_a_loop_goes_on_until_a_stopped_arm_is_at_rest():
