@@ -168,7 +168,9 @@ def assert_adopts(run: ExplorationRun, effect: str) -> None:
 
 def assert_held(run: PregraspRun) -> None:
     """Assert that the gripper holds the object in the end."""
-    assert run.held, f"the object is not held after {len(run.pushes)} pushes to the edge: {run.reason}"
+    count = len(run.pushes)
+    pushes = f"{count} push{'es' * (count != 1)}"
+    assert run.held, f"the object is not held after {pushes} to the edge: {run.reason}"
 
 
 def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> None:
