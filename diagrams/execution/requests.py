@@ -91,6 +91,7 @@ class Health:
     time: float = 0.0  # of the fault, s
     # whether the arm backs off from something that presses against it; else it brakes on its path
     back: bool = False
+    rest: float = 0.0  # when the last command of the motion to rest is made, s
 
     @property
     def ok(self) -> bool:

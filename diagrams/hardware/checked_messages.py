@@ -64,6 +64,8 @@ class Rule:
     # whether a stamp that goes back by more than `_RESTART` means that the sender was restarted, with a clock
     # that counts from its start
     anew: bool = False
+    # whether a valid message is used; others are ignored, and not reported
+    used: Callable[[Any], bool] = lambda message: True
 
     def read(self, data: bytes) -> tuple[Any, float]:
         """Decode and check a message, except for its stamp; also returns the stamp, s of the sender's clock.
@@ -115,8 +117,10 @@ def rules(width: int, height: int) -> Mapping[str, Rule]:
             drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
         ),
         network.CAMERA_POSE: Rule(drake.lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
-        # Anybody may stop the arm, whatever their clock.
-        network.ABORT: Rule(drake.lcmt_drake_signal, lambda m: 0, _check_abort),
+        # Anybody may stop the arm, whatever their clock, and nobody may take that back.
+        network.ABORT: Rule(
+            drake.lcmt_drake_signal, lambda m: 0, _check_abort, used=lambda m: m.val[0] > 0.5
+        ),
     }
 
 
@@ -162,7 +166,9 @@ class CheckedMessages(PythonSystem):
         super().__init__()
         self._clock = clock
         # Messages not yet processed belong to the network, not to a Context.
-        self._heard: deque[tuple[bytes, float] | BadMessage] = deque(maxlen=16)
+        # Bad ones wait apart, so that they cannot displace good ones.
+        self._heard: deque[tuple[bytes, float]] = deque(maxlen=16)
+        self._bad: deque[BadMessage] = deque(maxlen=16)
         self._channel = channel
         self._rule = rule
         self._serializer = _Serializer_[rule.lcm_type]()
@@ -186,9 +192,10 @@ class CheckedMessages(PythonSystem):
         try:
             message, stamp = self._rule.read(data)
         except BadMessage as error:
-            self._heard.append(error)
+            self._bad.append(error)
         else:
-            self._heard.append((message.encode(), stamp))
+            if self._rule.used(message):
+                self._heard.append((message.encode(), stamp))
 
     def take(self, context: Context) -> Received:
         """Process the messages received before the diagram runs, in this system's Context."""
@@ -197,7 +204,7 @@ class CheckedMessages(PythonSystem):
         return now
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        if not self._heard and self._clock is None:
+        if not self._heard and not self._bad and self._clock is None:
             return EventStatus.DidNothing()
         before = self.received(context)
         now = self._taken(context)
@@ -208,22 +215,24 @@ class CheckedMessages(PythonSystem):
 
     def _taken(self, context: Context) -> Received:
         now = self.received(context)
+        while self._bad:
+            now = self._without(now, self._bad.popleft())
         while self._heard:
-            now = self._after(now, self._heard.popleft(), context.get_time())
+            now = self._after(now, *self._heard.popleft(), context.get_time())
         return now
 
-    def _after(self, now: Received, heard: tuple[bytes, float] | BadMessage, time: float) -> Received:
+    def _without(self, now: Received, error: BadMessage) -> Received:
+        cause = str(error)
+        count = now.dropped.get(cause, 0) + 1
+        if np.log10(count).is_integer():
+            _log.warning("%s: message dropped, %s (%d so far)", self._channel, cause, count)
+        return replace(now, dropped=MappingProxyType({**now.dropped, cause: count}))
+
+    def _after(self, now: Received, data: bytes, stamp: float, time: float) -> Received:
         try:
-            if isinstance(heard, BadMessage):
-                raise heard
-            data, stamp = heard
             check_stamp(stamp, now.stamp, self._rule.anew)
         except BadMessage as error:
-            cause = str(error)
-            count = now.dropped.get(cause, 0) + 1
-            if np.log10(count).is_integer():
-                _log.warning("%s: message dropped, %s (%d so far)", self._channel, cause, count)
-            return replace(now, dropped=MappingProxyType({**now.dropped, cause: count}))
+            return self._without(now, error)
         offset = time - stamp
         if now.good and stamp >= now.stamp:
             offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / _CLOCKS)

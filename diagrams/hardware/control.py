@@ -19,6 +19,7 @@ from typing import IO
 import numpy as np
 
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.hardware.network import place_of
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.workers import workers
 from slipmap.models.effects.registry import effects_named
@@ -38,12 +39,13 @@ def only_controller(url: str) -> Iterator[None]:
     The system releases it when the process ends, however it ends: the lock of a dead process is free.
 
     Args:
-        url: LCM address; compared literally.
+        url: LCM address; its options after the ? make no difference.
 
     Raises:
         BadInput: another process holds the lock; names that process. Or the lock's folder is not writable.
+        HardwareError: a malformed address.
     """
-    path = lock_folder() / f"{hashlib.sha256(url.encode()).hexdigest()[:16]}.lock"
+    path = lock_folder() / f"{hashlib.sha256(place_of(url).encode()).hexdigest()[:16]}.lock"
     if path in _held:
         raise _taken(url, f"this process ({os.getpid()})")
     with writing(path):

@@ -312,7 +312,8 @@ class CommandGuard(PythonSystem):
             fault = next(self._rules.faults(now, inputs), None)
             if fault is not None:
                 stop = self._stop(now, inputs)
-                now = replace(now, health=Health("stopped", *fault, inputs.time, stop.back), stop=stop)
+                health = Health("stopped", *fault, inputs.time, stop.back, stop.begin + stop.duration)
+                now = replace(now, health=health, stop=stop)
         if len(now.commands) == 0:
             return now  # without any status there is nothing to hold
         before = now.commands[-1]

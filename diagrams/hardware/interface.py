@@ -146,8 +146,9 @@ class HardwareInterface(PythonDiagram):
 
     The ports are those of `Station`, without those that only a simulation has, and `OWN`: `iiwa.silence`
     (1,), s, is that of `CheckedMessages`; `abort` (1,) is 1 once `abort` was called or a message on the
-    channel of that name requested it. The optional input `health` is that of the guard in front of the cell:
-    with it, the arm brakes as soon as the guard stops it, without waiting for queued commands.
+    channel of that name requested it, whatever follows. The optional input `health` is that of the guard in
+    front of the cell: with it, the arm brakes as soon as the guard stops it, without waiting for queued
+    commands.
 
     Every message is checked before any part of it is used (one `CheckedMessages` per channel, named like it).
     Call `connect` before the simulation starts. A Simulator runs it at `realtime_rate`.
@@ -274,7 +275,7 @@ class HardwareInterface(PythonDiagram):
 
 
 class _Abort(PythonSystem):
-    """Whether the newest message requests a stop of the arm; 0 before the first."""
+    """Whether a message has requested a stop of the arm: only such messages arrive, and the newest stays."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -282,8 +283,7 @@ class _Abort(PythonSystem):
         self.declare_vector_output("abort", 1, self._abort, {self.all_input_ports_ticket()})
 
     def _abort(self, context: Context) -> list[float]:
-        data = self.input(context, "received").data
-        return [lcmt_drake_signal.decode(data).val[0] if data else 0.0]
+        return [1.0 if self.input(context, "received").good else 0.0]
 
 
 class _StreamSender(PythonSystem):

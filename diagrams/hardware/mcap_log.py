@@ -10,13 +10,12 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from typing import IO, Any, NamedTuple
 
 import drake
 
 from slipmap.diagrams.hardware import network
-from slipmap.diagrams.hardware.checked_messages import BadMessage, unpacked
+from slipmap.diagrams.hardware.checked_messages import unpacked
 from slipmap.diagrams.hardware.message_stream import LARGEST, BadLog, Event
 from slipmap.models.files import BadInput
 
@@ -37,6 +36,15 @@ class _View(NamedTuple):
     fields: Mapping[
         str, tuple[dict[str, Any], Callable[[Any], Any]]
     ]  # JSON schema, and value in what is decoded
+
+    def content(self, data: bytes) -> bytes | None:
+        """JSON of a message; None for one that is damaged or has numbers that JSON lacks, such as NaN."""
+        try:
+            decoded = self.decode(data)
+            content = {name: value(decoded) for name, (_, value) in self.fields.items()}
+            return json.dumps(content, allow_nan=False).encode()
+        except Exception:  # generated code fails on hostile bytes in many ways
+            return None
 
 
 def _stamp(utime: int) -> dict[str, int]:
@@ -115,17 +123,15 @@ class McapLog:
         self._add(event.channel, _RAW, 0, event, event.data)
         self.count += 1
         view = _VIEWS.get(event.channel)
-        if view is None:
+        content = None if view is None else view.content(event.data)
+        if view is None or content is None:  # whatever came is kept above
             return
-        with suppress(BadMessage, ValueError, IndexError):  # whatever came is kept above
-            decoded = view.decode(event.data)
-            content = {name: value(decoded) for name, (_, value) in view.fields.items()}
-            schema = 0
-            if view.name not in self._channels:
-                fields = {name: described for name, (described, _) in view.fields.items()}
-                described = json.dumps({"type": "object", "properties": fields}).encode()
-                schema = self._writer.register_schema(view.schema, "jsonschema", described)
-            self._add(view.name, "json", schema, event, json.dumps(content).encode())
+        schema = 0
+        if view.name not in self._channels:
+            fields = {name: described for name, (described, _) in view.fields.items()}
+            described = json.dumps({"type": "object", "properties": fields}).encode()
+            schema = self._writer.register_schema(view.schema, "jsonschema", described)
+        self._add(view.name, "json", schema, event, content)
 
     def _add(self, name: str, encoding: str, schema: int, event: Event, data: bytes) -> None:
         if name not in self._channels:

@@ -60,6 +60,17 @@ def address_settings(url: str) -> dict[str, str]:
     return settings
 
 
+def place_of(url: str) -> str:
+    """Group and port of an address, `GROUP:PORT`: the same for all addresses whose messages meet.
+
+    Raises:
+        HardwareError: as for `address_settings`.
+    """
+    address_settings(url)
+    group, _, port = url.removeprefix("udpm://").partition("?")[0].partition(":")
+    return f"{'.'.join(str(int(part)) for part in group.split('.'))}:{int(port)}"
+
+
 def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
     """Open a connection to an address.
 

@@ -15,8 +15,10 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
+from slipmap.diagrams.execution.requests import Health
 from slipmap.diagrams.hardware.control import real_cell, stopped_by_ctrl_c
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.hardware.network import ARM_PERIOD
 from slipmap.diagrams.loops.exploration_loop import (
     LoopOptions,
     RecordedRun,
@@ -235,7 +237,9 @@ def run_loop(
     longest: float,
     watch: Callable[[LoopStatus, Context], None],
 ) -> LoopEnd:
-    """Run a loop until its supervisor reaches a final mode, or until Ctrl-C; a loop can be run only once.
+    """Run a loop until its supervisor reaches a final mode and a stopped arm is at rest, or until Ctrl-C.
+
+    A loop can be run only once.
 
     Args:
         loop: with the systems of `exploration_loop`.
@@ -248,6 +252,7 @@ def run_loop(
 
     Raises:
         HardwareError: the real cell does not answer.
+        KeyboardInterrupt: a second Ctrl-C in a real cell.
     """
     gc.collect()  # the loop of an earlier run, which is large and has reference cycles
     simulator = Simulator(loop)
@@ -259,22 +264,24 @@ def run_loop(
         station.connect(context)
         simulator.set_target_realtime_rate(station.realtime_rate)
     started, thought = time.perf_counter(), time_in_place()
-    first_look: list[FloatArray] = []
+    X_SO: FloatArray | None = None
 
     block = loop.GetSubsystemByName(supervisor)
     port, context_of_port = block.GetOutputPort("status"), block.GetMyContextFromRoot(context)
     seen: tuple[LoopStatus | None, int] = None, -1
 
     def monitor(root: Context) -> EventStatus:
-        nonlocal seen
+        nonlocal seen, X_SO
         status: LoopStatus = port.Eval(context_of_port)
+        if status.mode in last:
+            if _at_rest(loop, root):
+                return EventStatus.ReachedTermination(block, status.mode)
+            return EventStatus.DidNothing()
         now = status, int(root.get_time() / _WATCHED + 1e-6)
         if now != seen:
             seen = now
-            if status.mode in last:
-                return EventStatus.ReachedTermination(block, status.mode)
-            if simulated and not first_look and status.mode in CHOOSING:
-                first_look.append(_frames(loop, root))
+            if simulated and X_SO is None and status.mode in CHOOSING:
+                X_SO = _frames(loop, root, output_of(loop, "perception", "object_pose", root).pose)
             watch(status, root)
         if simulated:
             station.after_step(context)
@@ -288,16 +295,21 @@ def run_loop(
             simulator.AdvanceTo(longest)
             interrupted = pressed()
     except KeyboardInterrupt:
+        if not simulated:  # the second one: the first stopped the arm
+            raise
         interrupted = True
     finally:
         gc.unfreeze()
     ended: LoopStatus = port.Eval(context_of_port)
     if interrupted:
         watch(ended, context)
+    if simulated and X_SO is None and (trials := output_of(loop, "logger", "trials", context)):
+        # No push was chosen after those recorded earlier, so the object lies where the last one left it.
+        X_SO = _frames(loop, context, trials[-1].object_pose.values[-1])
     return LoopEnd(
         ended,
         context,
-        first_look[0] if first_look else None,
+        X_SO,
         interrupted,
         time.perf_counter() - started,
         time_in_place() - thought,
@@ -330,9 +342,16 @@ def explored(
     )
 
 
-def _frames(loop: Diagram, root: Context) -> FloatArray:
-    """(3,) pose of the true object's frame in the frame of the cells as seen now."""
+def _at_rest(loop: Diagram, root: Context) -> bool:
+    """Whether the motion to rest after a fault has been sent to the arm; True without a guard or a fault."""
+    if not loop.HasSubsystemNamed("guard"):
+        return True
+    health: Health = output_of(loop, "guard", "health", root)
+    return bool(root.get_time() > health.rest + ARM_PERIOD)  # a command is sent a period after it was made
+
+
+def _frames(loop: Diagram, root: Context, seen: FloatArray) -> FloatArray:
+    """(3,) pose X_SO of the true object's frame in the frame of the cells, given (3,) X_WS as seen now."""
     X_WO = output_of(loop, "station", "truth.object_pose", root)
-    seen = output_of(loop, "perception", "object_pose", root).pose
     place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
     return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])

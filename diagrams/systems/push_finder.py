@@ -175,7 +175,7 @@ class PushFinder(PythonSystem):
             assert now.rest is not None
             off = np.abs(pose.pose - now.rest)
             if np.hypot(*off[:2]) < MOVED and off[2] < TURNED:
-                return _over(replace(now, rest=pose.pose), "the object did not move")
+                return _over(now, "the object did not move")
             return now
         return replace(now, rest=pose.pose)
 
@@ -186,7 +186,7 @@ def _over(now: _Found, reason: str) -> _Found:
         now,
         phase="up",
         reason="",
-        rest=None if now.touched else now.rest,
+        rest=None,  # the logger, too, may have used up its looks
         descents=(*now.descents, Descent(now.begin, now.end, reason)),
     )
 

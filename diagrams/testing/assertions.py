@@ -32,16 +32,15 @@ from slipmap.models.settings import check_choice, check_kind
 class CommandLog:
     """Commands in the order of sending."""
 
-    times: FloatArray  # (n,) stamps of the sender, increasing, s
+    times: FloatArray  # (n,) stamps of the sender, s; they increase, unless senders or clocks are at fault
     q: FloatArray  # (n, 7) joint angles, rad
 
     @staticmethod
     def of(rows: FloatArray) -> CommandLog:
-        """From rows (n, 8) of a stamp and seven angles; repeated and earlier stamps are left out."""
+        """From rows (n, 8) of a stamp and seven angles; repeated commands are left out."""
         rows = np.asarray(rows, dtype=float).reshape(-1, 8)
         if len(rows):
-            newest = np.maximum.accumulate(rows[:, 0])
-            rows = rows[np.r_[True, rows[1:, 0] > newest[:-1]]]
+            rows = rows[np.r_[True, (rows[1:] != rows[:-1]).any(axis=1)]]
         return CommandLog(rows[:, 0], rows[:, 1:])
 
     @cached_property
@@ -161,15 +160,21 @@ def assert_adopts(run: ExplorationRun, effect: str) -> None:
     assert run.repair is not None, "the run did not adapt; set adapt=True"
     said = "\n".join(f"push {found.pushes}: {found.verdict}, {found.action}" for found in run.repair.findings)
     assert effect in run.repair.effects, f"{effect} is not in the model at the end\n{said or 'no diagnosis'}"
+    adopted = any(found.action == "adopts" and effect in found.effects for found in run.repair.findings)
+    assert adopted, (
+        f"{effect} was in the model from the start, no diagnosis added it\n{said or 'no diagnosis'}"
+    )
 
 
 def assert_held(run: PregraspRun) -> None:
     """Assert that the gripper holds the object in the end."""
-    assert run.held, f"the object is not held after {len(run.pushes)} pushes to the edge: {run.reason}"
+    count = len(run.pushes)
+    pushes = f"{count} push{'es' * (count != 1)}"
+    assert run.held, f"the object is not held after {pushes} to the edge: {run.reason}"
 
 
 def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> None:
-    """Assert that no command exceeded the speed limit of a joint or of the finger.
+    """Assert that no command exceeded the speed limit of a joint or of the finger, and that stamps increase.
 
     Args:
         commands: of a `Cell`.
@@ -182,6 +187,11 @@ def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> 
     for log in commands:
         if len(log.times) < 2:
             continue
+        back = np.diff(log.times).argmin()
+        assert log.times[back + 1] > log.times[back], (
+            f"a command with the stamp {log.times[back + 1]:.3f} s came after another with"
+            f" {log.times[back]:.3f} s; check whether two programs drive the arm, and the sender's clock"
+        )
         share = np.abs(log.joint_speeds) / SPEED_LIMITS
         row, joint = np.unravel_index(share.argmax(), share.shape)
         assert share[row, joint] <= 1.0 + _ROUNDING, (

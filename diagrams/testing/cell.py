@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from slipmap.diagrams.hardware.control import only_controller
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import LCM_URL, open_lcm
@@ -44,6 +45,9 @@ class Faults:
 
     happened: list[Fault] = field(default_factory=list)  # faults ordered so far, in order
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
+    _ordered: list[tuple[str, int, Fault]] = field(
+        default_factory=list
+    )  # planned, and not known to have begun
     _way: RelayProcess | LockstepCell | None = None
     _possible: bool = True  # whether messages pass through something that can spoil them
 
@@ -61,8 +65,8 @@ class Faults:
         self._way.order(fault)
 
     def when(self, doing: str, fault: Fault, *, push: int = 1) -> None:
-        """Start a fault as soon as the robot enters a mode. One that has not started when the cell is closed
-        fails the test.
+        """Start a fault as soon as the robot enters a mode. One that has spoilt no message when the cell is
+        closed fails the test.
 
         Args:
             doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; in a pre-grasp also `planning`,
@@ -81,9 +85,23 @@ class Faults:
         self._planned.append((doing, push, fault))
 
     def require_started(self) -> None:
-        """Raise AssertionError if a planned fault has not started: nothing was tested with it."""
-        left = [f"{fault} while {doing}, push {push}" for doing, push, fault in self._planned]
+        """Raise AssertionError if a planned fault has spoilt no message: nothing was tested with it."""
+        self.leave()
+        left = [
+            f"{fault} while {doing}, push {push}{f', {fault.after:g} s later' if fault.after else ''}"
+            for doing, push, fault in (*self._ordered, *self._planned)
+        ]
         assert not left, f"faults that were planned did not start: {'; '.join(left)}; let the robot get there"
+
+    def leave(self) -> None:
+        """Take down which planned faults have begun, before the messages' way through them ends."""
+        if self._way is None or not self._ordered:
+            return
+        begun = list(self._way.begun)
+        for planned in list(self._ordered):
+            if planned[2] in begun:
+                begun.remove(planned[2])
+                self._ordered.remove(planned)
 
     def _require_possible(self) -> None:
         if not self._possible:
@@ -97,8 +115,10 @@ class Faults:
         for planned in list(self._planned):
             doing, push, fault = planned
             words = {DOING.get(doing), BRINGS.get(doing)} - {None}
-            if done + 1 >= push and any(stage.endswith(str(word)) for word in words):
+            # A remark may follow what the robot does.
+            if done + 1 >= push and stage.partition(";")[0].endswith(tuple(map(str, words))):
                 self._planned.remove(planned)
+                self._ordered.append(planned)
                 self.now(fault)
 
 
@@ -200,6 +220,7 @@ class Cell:
         try:
             yield cell
         finally:
+            self.faults.leave()
             self.faults._way = None
             self._logs.append(cell.log())
             self._positions = cell.positions
@@ -220,6 +241,7 @@ def open_cell(
     Raises:
         AssertionError: at the end of the block, if a planned fault has not started.
         HardwareError: a process could not be started, or a malformed address.
+        BadInput: with `faulty`, another process controls the cell.
         ValueError: neither a twin nor an address.
         ValueError, RendererUnavailable: as for `Station`.
 
@@ -251,6 +273,7 @@ def open_cell(
         relay = None
         if faulty:
             beyond, url = url, free_url()
+            processes.enter_context(only_controller(beyond))  # the driver locks only this side of the relay
             relay = RelayProcess(beyond, url)
             processes.callback(relay.close)
         recorder = CommandRecorder(url, folder / "commands.bin")

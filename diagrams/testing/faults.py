@@ -33,7 +33,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 _FROM_CELL = (
     network.IIWA_STATUS, network.GRIPPER_STATUS,
-    network.CAMERA_DEPTH, network.CAMERA_COLOR, network.CAMERA_POSE,
+    network.CAMERA_DEPTH, network.CAMERA_COLOR, network.CAMERA_POSE, network.ABORT,
 )  # fmt: skip
 _TO_CELL = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
 
@@ -116,6 +116,8 @@ class Link:
     def __init__(self, channel: str) -> None:
         self._fault: Fault | None = None
         self._begin = np.inf
+        self.begun: list[Fault] = []  # faults that have spoilt a message, in order
+        self._spoils = False  # whether the present one has
         self._sent: deque[bytes] = deque(
             # Pictures are large, so only the last one can be repeated.
             maxlen=_STATUSES_KEPT if channel == network.IIWA_STATUS else 1
@@ -125,7 +127,7 @@ class Link:
 
     def order(self, fault: Fault, now: float) -> None:
         """Start a fault in `fault.after` seconds, in place of any earlier one."""
-        self._fault, self._begin, self._frozen = fault, now + fault.after, None
+        self._fault, self._begin, self._frozen, self._spoils = fault, now + fault.after, None, False
 
     def faulty(self, now: float) -> bool:
         """Whether a fault is active now."""
@@ -135,6 +137,9 @@ class Link:
         """The message that comes out at once when one goes in; None if nothing does."""
         if self.faulty(now):
             assert self._fault is not None
+            if not self._spoils:
+                self._spoils = True
+                self.begun.append(self._fault)
             return self._spoilt(self._fault, data, now)
         self._sent.append(data)
         return data
@@ -189,6 +194,11 @@ class Relay:
         """Start a fault."""
         self._links[fault.channel][0].order(fault, self._clock())
 
+    @property
+    def begun(self) -> list[Fault]:
+        """Faults that have spoilt a message."""
+        return [fault for link, _ in self._links.values() for fault in link.begun]
+
     def flush(self) -> None:
         """Pass on delayed messages that are due; call it often."""
         for channel, (link, other) in self._links.items():
@@ -216,9 +226,23 @@ class RelayProcess(Child):
         """Start a fault."""
         self.write(json.dumps(asdict(fault)).encode() + b"\n")
 
+    @property
+    def begun(self) -> list[Fault]:
+        """Faults that have spoilt a message.
+
+        Raises:
+            HardwareError: the process has ended.
+        """
+        self.write(b"\n")
+        answer = self.output.readline()
+        if not answer:
+            raise network.HardwareError("the relay between cell and test has ended; start again")
+        return [_fault_of(fault) for fault in json.loads(answer)]
+
 
 def _relay(cell_url: str, driver_url: str) -> None:
-    """Pass messages on, and take faults from standard input until it ends."""
+    """Pass messages on, and take faults from standard input until it ends; an empty line asks which ones have
+    begun."""
     cell, driver = network.open_lcm(cell_url), network.open_lcm(driver_url)
     relay = Relay(cell, driver, time.monotonic)
     source, said = sys.stdin.fileno(), b""
@@ -230,11 +254,18 @@ def _relay(cell_url: str, driver_url: str) -> None:
                 return
             *lines, said = (said + data).split(b"\n")
             for line in lines:
-                fault = json.loads(line)
-                relay.order(Fault(**{**fault, "band": tuple(fault["band"])}))
+                if line:
+                    relay.order(_fault_of(json.loads(line)))
+                else:
+                    begun = json.dumps([asdict(fault) for fault in relay.begun])
+                    os.write(sys.stdout.fileno(), begun.encode() + b"\n")
         cell.HandleSubscriptions(0)
         driver.HandleSubscriptions(0)
         relay.flush()
+
+
+def _fault_of(stored: dict[str, Any]) -> Fault:
+    return Fault(**{**stored, "band": tuple(stored["band"])})
 
 
 def _stamped_like(old: bytes, new: bytes, of: str) -> bytes:

@@ -92,6 +92,11 @@ class LockstepCell(PythonDiagram):
         """Start a fault."""
         self._relay.order(fault)
 
+    @property
+    def begun(self) -> list[Fault]:
+        """Faults that have spoilt a message."""
+        return self._relay.begun
+
     def log(self) -> CommandLog:
         """All commands so far."""
         return CommandLog.of(np.array(self._commands))

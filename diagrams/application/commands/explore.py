@@ -255,7 +255,7 @@ def pregrasp(
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run})
     except ExplorationFailed as error:
         raise _ended(error, record, isinstance(error, ExplorationStopped)) from error
-    _show_exploration(run.exploration)
+    _show_exploration(run.exploration, goes_on=False)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder, run.explorations)
     cell_run.show_files(written)
@@ -284,7 +284,8 @@ def _learned_json(run: ExplorationRun) -> dict[str, Any]:
     return {**learned.to_json(), **own}
 
 
-def _show_exploration(run: ExplorationRun) -> None:
+def _show_exploration(run: ExplorationRun, *, goes_on: bool = True) -> None:
+    """Print what was learned; `goes_on` is whether `slipmap explore --after` accepts the run's folder."""
     from slipmap.diagrams.application.commands.identify import show, show_effects
 
     show(run.identification, run.dataset, None)
@@ -306,7 +307,7 @@ def _show_exploration(run: ExplorationRun) -> None:
             f"{run.simulated:.0f} s of simulated time took {run.seconds - run.thinking:.0f} s; learning and"
             f" choosing pushes took {run.thinking:.0f} s."
         )
-    paragraph(_monitor_words(run.watch))
+    paragraph(_monitor_words(run.watch, goes_on=goes_on))
 
 
 def _told(run: ExplorationRun, explored: int | None = None) -> tuple[str, list[str]]:
@@ -359,8 +360,8 @@ def _show_truth(believed: Sequence[float], true: Sequence[float]) -> None:
     paragraph(f"The belief's centre of mass is {1e3 * math.dist(believed, true):.1f} mm off.")
 
 
-def _monitor_words(watch: Watch) -> str:
-    """The monitor's summary, in a sentence or two."""
+def _monitor_words(watch: Watch, *, goes_on: bool = True) -> str:
+    """The monitor's summary, in a sentence or two; `goes_on` as for `_show_exploration`."""
     from slipmap.diagrams.systems.model_monitor import LEVEL
     from slipmap.models.inference.end_region import beyond_in_millimetres
 
@@ -383,8 +384,8 @@ def _monitor_words(watch: Watch) -> str:
         return (
             f"Monitor: ALARM from push {first.trial:03d} on{'' if watch.alarm else ', since withdrawn'}"
             f" ({first.cause}): {numbers}."
-            " The object does not move as the model predicts. `slipmap diagnose` may say why, and"
-            " `slipmap explore --after` continues with the effect that it names."
+            " The object does not move as the model predicts. `slipmap diagnose` may say why"
+            f"{', and `slipmap explore --after` continues with the effect that it names' * goes_on}."
         )
     return f"Monitor: no alarm; {numbers}, largest evidence {peak:.1f} (alarm at {1 / LEVEL:.0f})."
 
@@ -411,7 +412,9 @@ def _show_pregrasp(run: PregraspRun) -> None:
             numbers=(0, 1, 2, 3, 4),
         )
     if run.held:
-        paragraph(f"After {len(run.pushes)} pushes, the gripper grasped the object at the edge and holds it.")
+        count = len(run.pushes)
+        pushes = f"{count} push{'es' * (count != 1)}"
+        paragraph(f"After {pushes}, the gripper grasped the object at the edge and holds it.")
     else:
         paragraph(f"The object is not held: {run.reason}.")
     if run.true_height is not None and run.fate != ("held" if run.held else "gave up"):

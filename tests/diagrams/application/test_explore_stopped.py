@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from pydrake.systems.framework import Diagram
 from test_command_line import ENVIRONMENT, hear_ctrl_c
@@ -84,6 +85,9 @@ def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(
         assert watch is not None and (watch.trials, watch.judged) == (2, whole.watch.judged)
     again = explore(scenario, options, before=before)
     assert again.watch.judged == whole.watch.judged
+    # No push was left to choose, and still it is known where the true object lies under the cells.
+    np.testing.assert_allclose(again.X_SO, whole.X_SO, atol=5e-3)
+    assert again.truth() is not None
 
 
 def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatch) -> None:

@@ -13,11 +13,13 @@ from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.commands.explore import (
     _monitor_words,
     _next_step,
+    _show_pregrasp,
     _show_surprises,
     _show_truth,
 )
 from slipmap.diagrams.application.reports.tables import show_errors
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
+from slipmap.diagrams.testing import assert_held
 from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.measurements import Noise
 from tests.made_predictions import SQUARE, made_prediction
@@ -47,7 +49,24 @@ def test_the_monitor_says_which_push_was_worst_though_it_gives_no_alarm() -> Non
     assert "the prediction of the belief at that time (10.0 mm at most were expected)" in said
     assert "region" not in _monitor_words(Watch(1, np.zeros(3), (usual,)))
     alarm = Judged(6, 2.0, 0.03, 3.0, True, 12.1e-3, 10e-3, True)
-    assert "ALARM from push 006 on" in _monitor_words(Watch(2, np.zeros(3), (usual, alarm)))
+    alarmed = Watch(2, np.zeros(3), (usual, alarm))
+    assert "ALARM from push 006 on" in _monitor_words(alarmed)
+    assert _monitor_words(alarmed).endswith(
+        "`slipmap explore --after` continues with the effect that it names."
+    )
+    assert _monitor_words(alarmed, goes_on=False).endswith("`slipmap diagnose` may say why.")
+
+
+@pytest.mark.parametrize(("count", "words"), [(0, "0 pushes"), (1, "1 push"), (2, "2 pushes")])
+def test_pushes_to_the_edge_are_counted(capsys: pytest.CaptureFixture[str], count: int, words: str) -> None:
+    run: Any = SimpleNamespace(
+        to_json=lambda: {"pushes": []}, held=True, pushes=(None,) * count, true_height=None, reason=""
+    )
+    _show_pregrasp(run)
+    assert f"After {words}, the gripper" in " ".join(capsys.readouterr().out.split())
+    run.held = False
+    with pytest.raises(AssertionError, match=f"after {words} to the edge"):
+        assert_held(run)
 
 
 @pytest.mark.parametrize(

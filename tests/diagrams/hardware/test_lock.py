@@ -7,10 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from slipmap.diagrams.hardware.control import only_controller
+from slipmap.diagrams.testing import open_cell
 from slipmap.models.files import BadInput
 
 URL, OTHER = "udpm://239.255.76.67:7667?ttl=0", "udpm://239.255.76.67:7668?ttl=0"
@@ -44,6 +46,28 @@ def test_the_second_process_is_told_which_is_the_first(holder):
     assert URL in text and f"process {holder.pid} (" in text and "--lcm" in text
     with only_controller(OTHER):
         pass
+
+
+def test_addresses_are_the_same_if_their_messages_meet():
+    same = "udpm://239.255.76.67:7667", "udpm://239.255.076.67:07667?ttl=1&recv_buf_size=4096"
+    with only_controller(URL):
+        for url in same:
+            with pytest.raises(BadInput, match="drives the arm there"), only_controller(url):
+                pass
+    with pytest.raises(BadInput, match="the address must look like"), only_controller("udpm://anywhere"):
+        pass
+
+
+def test_a_cell_behind_the_relay_of_faults_is_locked(tmp_path, monkeypatch):
+    for part in ("CommandRecorder", "RelayProcess"):
+        made = SimpleNamespace(close=lambda: None)
+        monkeypatch.setattr(f"slipmap.diagrams.testing.cell.{part}", lambda *arguments, made=made: made)
+    with open_cell(URL, tmp_path / "recordings", faulty=True):
+        with pytest.raises(BadInput, match="drives the arm there"), only_controller(URL):
+            pass
+        with only_controller(OTHER), pytest.raises(BadInput, match="drives the arm there"):  # noqa: SIM117
+            with open_cell(OTHER, tmp_path / "others", faulty=True):
+                pass
 
 
 def test_a_killed_process_leaves_no_lock(holder):

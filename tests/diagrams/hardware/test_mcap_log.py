@@ -79,6 +79,39 @@ def test_viewers_see_arm_gripper_and_camera():
     assert np.array_equal(pixels, depths())
 
 
+def test_messages_that_are_damaged_or_not_finite_are_kept_and_not_shown():
+    """JSON has no NaN, and viewers refuse it."""
+    messages = (
+        (network.IIWA_STATUS, iiwa_status()),
+        (network.GRIPPER_STATUS, gripper_status()),
+        (network.CAMERA_POSE, camera_pose()),
+        (network.CAMERA_DEPTH, depth_picture()),
+    )
+    bad = [
+        (channel, message.encode()[:length])
+        for channel, message in messages
+        for length in range(0, min(len(message.encode()), 600), 7)
+    ]
+    for number in (np.nan, np.inf):
+        for channel, message in messages[:2]:
+            if channel == network.IIWA_STATUS:
+                message.joint_position_measured = [number, *HOME[1:]]
+            else:
+                message.actual_force = number
+            bad.append((channel, message.encode()))
+    came = [Event(number, 1000 * number, *event) for number, event in enumerate(bad)]
+    data = written(came)
+    assert events(data) == (came, False)
+    assert topics(data) == {network.IIWA_STATUS, network.GRIPPER_STATUS, *network.CAMERA[:2]}
+    assert topics(written([*came, *EVENTS])) > topics(data)
+
+
+def topics(data):
+    from mcap.reader import make_reader
+
+    return {channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()}
+
+
 def test_a_log_that_is_cut_off_or_damaged_is_read_or_refused_in_one_paragraph():
     whole = written()
     rng = np.random.default_rng(0)

@@ -159,6 +159,22 @@ def test_a_message_or_a_call_aborts_and_bad_ones_do_not(both):
     assert other.heard("abort")[0] == 1.0
 
 
+def test_a_stop_by_hand_stays_whatever_follows_it():
+    both, released = Both(), abort()
+    released.val = [0.0]
+    both.lcm.Publish(network.ABORT, released.encode())
+    both.simulator.AdvanceTo(0.01)
+    assert both.heard("abort")[0] == 0.0
+    both.interface.abort()
+    for message in (released.encode(), b"junk"):  # more than wait for a busy diagram
+        for _ in range(20):
+            both.interface._stop.hear(message)
+    for until in (0.02, 0.03):
+        both.simulator.AdvanceTo(until)
+        assert both.heard("abort")[0] == 1.0
+        both.lcm.Publish(network.ABORT, released.encode())
+
+
 def test_a_silent_cell_is_told_with_its_channels():
     lcm = DrakeLcm("memq://")
     interface = HardwareInterface(lcm, Scenario())

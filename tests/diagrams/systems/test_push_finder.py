@@ -127,6 +127,19 @@ def test_a_finger_that_passes_by():
     assert refused(cell) == "the finger did not come near the object"
 
 
+def test_a_finger_that_passes_by_and_comes_again_before_the_object_was_seen():
+    """The logger began the first push with all that was seen of the object."""
+    cell = Cell()
+    cell.look(0.0)
+    cell.set(object_pose=ObservedPose.unseen("occluded"), aside=False)
+    cell.push(end=-0.034)
+    cell.up()
+    cell.push()
+    assert cell.modes == ("looking", "approaching")
+    cell.up()
+    assert refused(cell) == "the object was not seen at rest before"
+
+
 def test_an_object_that_stays_where_it_is():
     cell = Cell()
     cell.look(0.0)

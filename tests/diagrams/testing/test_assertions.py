@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from slipmap.diagrams.hardware.guard import GuardSettings
+from slipmap.diagrams.loops.exploration_run import DOING, ROUND
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.diagnosis import Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.testing import (
     CommandLog,
     Fault,
     Faults,
+    assert_adopts,
     assert_alarm,
     assert_better_than_uniform,
     assert_limits_kept,
@@ -38,7 +42,7 @@ def log(share: float, joint: int = 6, n: int = 50) -> CommandLog:
 
 def test_speeds_are_told_from_stamps_whatever_is_missing():
     full = log(0.5)
-    sparse = CommandLog.of(np.column_stack([full.times, full.q])[[0, 1, 5, 6, 20, 20, 19, 30]])
+    sparse = CommandLog.of(np.column_stack([full.times, full.q])[[0, 1, 5, 6, 20, 20, 30]])
     assert len(sparse.times) == 6
     np.testing.assert_allclose(sparse.joint_speeds[:, 6], 0.5 * SPEED_LIMITS[6], rtol=1e-9)
 
@@ -53,6 +57,16 @@ def test_limits_of_joints_and_finger():
         assert_limits_kept([fast], GuardSettings(tip_speed=0.9 * fast.tip_speeds.max()))
     with pytest.raises(AssertionError, match="no commands"):
         assert_limits_kept([CommandLog.of(np.zeros((0, 8)))], GuardSettings())
+
+
+def test_commands_that_contradict_others_are_told():
+    full = log(0.5)
+    rows = np.column_stack([full.times, full.q])
+    other = rows.copy()
+    other[20, 7] += 1.0
+    for contradicting in (np.vstack([rows[:21], other[20:]]), rows[[*range(20), 10, *range(20, 50)]]):
+        with pytest.raises(AssertionError, match=r"a command with the stamp 0\.\d+ s came after another"):
+            assert_limits_kept([CommandLog.of(contradicting)], GuardSettings())
 
 
 def learned(*errors: float) -> Identification:
@@ -99,6 +113,18 @@ def test_a_quiet_monitor_must_have_had_something_to_judge():
         assert_alarm(watched(1.0, 20.0, 99.0))
 
 
+def test_an_effect_must_have_been_adopted_on_the_way():
+    given = ("table_tilt",)
+    kept = Finding(5, "effect", "The table is tilted.", given, "keeps")
+    adopted = replace(kept, action="adopts")
+    assert_adopts(SimpleNamespace(repair=Repair(5, given, findings=(adopted, kept))), "table_tilt")
+    for findings in ((), (kept,)):
+        with pytest.raises(AssertionError, match="table_tilt was in the model from the start"):
+            assert_adopts(SimpleNamespace(repair=Repair(5, given, findings=findings)), "table_tilt")
+    with pytest.raises(AssertionError, match="table_tilt is not in the model at the end"):
+        assert_adopts(SimpleNamespace(repair=Repair(5, (), findings=(adopted,))), "table_tilt")
+
+
 def test_planned_faults_begin_once_when_the_robot_gets_there():
     ordered: list[Fault] = []
     faults = Faults(_way=SimpleNamespace(order=ordered.append))
@@ -119,6 +145,33 @@ def test_planned_faults_begin_once_when_the_robot_gets_there():
         faults.when("pushing", stop, push=0)
     with pytest.raises(RuntimeError, match="nothing is running"):
         Faults().now(stop)
+
+
+def test_planned_faults_must_spoil_something():
+    begun: list[Fault] = []
+    faults = Faults(_way=SimpleNamespace(order=lambda fault: None, begun=begun))
+    soon, late = Fault("status", "stop", after=0.1), Fault("pictures", "stop", after=1e4)
+    for fault in (soon, late):
+        faults.when("pushing", fault)
+    faults.look("exploring: pushing", 0)
+    begun.append(soon)
+    with pytest.raises(AssertionError) as failed:
+        faults.require_started()
+    assert "pictures stop while pushing, push 1, 10000 s later" in str(failed.value)
+    assert "status" not in str(failed.value)
+    begun.append(late)
+    faults.require_started()
+
+
+def test_a_remark_on_the_object_does_not_hide_what_the_robot_does():
+    ordered: list[Fault] = []
+    faults = Faults(_way=SimpleNamespace(order=ordered.append))
+    stop = Fault("status", "stop")
+    faults.when("pushing", stop)
+    for doing in (DOING["looking"], DOING["pushing"]):
+        assert not ordered
+        faults.look(f"exploring: {doing}; {ROUND}", 0)
+    assert ordered == [stop]
 
 
 def test_a_fault_that_never_starts_fails_the_test(tmp_path):

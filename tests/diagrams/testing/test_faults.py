@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sys
+import time
 import zlib
 
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_image_array
+from pydrake.lcm import DrakeLcm
 
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import rules
-from slipmap.diagrams.testing.faults import KINDS, Fault, Link
+from slipmap.diagrams.testing.faults import KINDS, Fault, Link, Relay, RelayProcess
+from slipmap.diagrams.testing.twins import free_url
 from tests.diagrams.hardware import good_messages
 
 PERIOD = 0.005
@@ -66,6 +70,19 @@ def test_a_fault_begins_as_late_as_it_is_told_to():
     assert len(come(Fault("status", "stop", after=0.1))) == 40
 
 
+def test_a_fault_has_begun_once_it_has_spoilt_a_message():
+    link, jump = Link(network.IIWA_STATUS), Fault("status", "jump", 0.1, after=0.05)
+    for fault, ordered in (
+        (Fault("status", "stop", after=0.2), 0.0),  # another takes its place before it can begin
+        (jump, 0.1),
+        (Fault("status", "stop", seconds=0.001), 0.201),  # no message comes meanwhile
+    ):
+        link.order(fault, ordered)
+        for k in range(20):
+            link.through(status(k), round(ordered, 1) + PERIOD * k)
+    assert link.begun == [jump]
+
+
 def test_late_messages_come_with_their_own_stamps():
     rows = angles(come(Fault("status", "delay", 0.03)))[20:]
     assert rows[:, 0] - rows[:, 1] == pytest.approx(0.03, abs=PERIOD + 1e-9)
@@ -108,6 +125,42 @@ def test_a_spoilt_picture_is_still_one_that_can_be_unpacked():
     rule = rules(good_messages.WIDTH, good_messages.HEIGHT)["CAMERA_DEPTH"]
     for kind in ("zeros", "torn", "freeze"):
         rule.read(come(Fault("pictures", kind), picture, 21)[-1][1])
+
+
+def test_the_relay_passes_on_all_that_a_cell_says_and_hears():
+    cell, driver = DrakeLcm("memq://"), DrakeLcm("memq://")
+    relay = Relay(cell, driver, lambda: 0.0)
+    come: list[str] = []
+    ways = (cell, driver, (*network.ARM, *network.CAMERA, network.ABORT)), (
+        driver, cell, (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
+    )  # fmt: skip
+    for sends, hears, channels in ways:
+        for channel in channels:
+            hears.Subscribe(channel, lambda data, channel=channel: come.append(channel))
+            sends.Publish(channel, b"anything")
+        for side in (sends, hears):
+            side.HandleSubscriptions(0)
+        assert sorted(come) == sorted(channels)
+        come.clear()
+    relay.flush()
+
+
+def test_the_relays_process_tells_which_faults_have_begun():
+    beyond, driver = free_url(), free_url()
+    stop, later = Fault("status", "stop", band=(0.0, 0.5)), Fault("pictures", "stop", after=1e4)
+    relay, cell = RelayProcess(beyond, driver), network.open_lcm(beyond)
+    try:
+        assert relay.begun == []
+        for fault in (stop, later):
+            relay.order(fault)
+        deadline = time.monotonic() + 10.0
+        while not relay.begun and time.monotonic() < deadline:
+            cell.Publish(network.IIWA_STATUS, status(0))
+            cell.Publish(network.CAMERA_DEPTH, b"anything")
+            time.sleep(0.01)
+        assert relay.begun == [stop]
+    finally:
+        relay.close()
 
 
 def test_unknown_faults_are_told_with_what_there_is():
