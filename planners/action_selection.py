@@ -114,7 +114,9 @@ def choose_push(
     if table is not None:
         safe = _balanced(choices, pose, grid, finger_radius, belief, table)
         choices = [choice for choice, stays in zip(choices, safe, strict=True) if stays]
-    if question is not None:
+    if not choices:
+        worth = np.zeros(0)
+    elif question is not None:
         worth = question.told_by([_imagined(choice.push, pose, question.habits.pushes) for choice in choices])
     elif strategy == "most-different" and past:
         worth = _differences(choices, past, grid)

@@ -1,6 +1,7 @@
 """Algorithm 2: which push is chosen, and what it keeps to."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,15 @@ def a_belief(masses) -> Belief:
 
 def choose(seed=0, **options):
     return choose_push(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
+
+
+OFF_ITS_TABLE = {
+    "belief": a_belief(hammer()[1].mass),
+    "past": [choose(5)],
+    "settings": PokeSettings(shortest=0.25, longest=0.3),
+    "table": Table("round", tuple(POSE[:2]), radius=0.25),
+}
+"""A hammer on a table so small that every push moves it over the rim."""
 
 
 def outline_on_table(grid, pose):
@@ -150,14 +160,32 @@ def test_near_the_rim_no_push_risks_a_fall(known):
     assert worst(table=table) > (0.02 if known else 0.0)
 
 
-def test_where_nothing_is_safe_it_says_so():
-    grid = hammer()[0]
-    tiny = Table("round", tuple(POSE[:2]), radius=0.25)
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_where_nothing_is_safe_it_says_so(strategy):
     with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
-        choose_push(
-            grid, POSE, RADIUS, table=tiny, rng=np.random.default_rng(0),
-            settings=PokeSettings(shortest=0.25, longest=0.3),
-        )  # fmt: skip
+        choose(strategy=strategy, **OFF_ITS_TABLE)
+
+
+def test_where_nothing_is_safe_a_question_is_not_asked():
+    def told_by(pushes):
+        raise AssertionError(f"asked about {len(pushes)} pushes")
+
+    question = SimpleNamespace(told_by=told_by, habits=SimpleNamespace(pushes=1))
+    with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
+        choose(question=question, **OFF_ITS_TABLE)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_where_no_tap_is_safe_it_pushes_slowly(strategy):
+    """On a slippery table, the only tap to choose from would send the hammer over the rim."""
+    belief = a_belief(hammer()[1].mass)
+    belief = replace(belief, maps=replace(belief.maps, mu=0.1 * belief.maps.mu))
+    habits = PokeSettings(tap_speed=1.0, region=0.5, longest=0.08, candidates=1)
+    table = Table("round", tuple(POSE[:2]), radius=0.15)
+    choice = choose(
+        3, strategy=strategy, tap=True, belief=belief, past=[choose(5)], settings=habits, table=table
+    )
+    assert choice.push.creep == 0.0
 
 
 def test_what_the_robot_cannot_do_is_passed_over():
