@@ -25,10 +25,10 @@ from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
+from slipmap.models.physics.rollout import Maps, Push, RolloutError, Rollouts, Slider
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
-from slipmap.planners.settings import STRATEGIES, PokeSettings
+from slipmap.planners.settings import NEGLIGIBLE, STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
 if TYPE_CHECKING:
@@ -74,8 +74,9 @@ def choose_push(
     """Choose the next push (Algorithm 2).
 
     Without past pushes, or without a belief if the strategy needs one, the choice is random. A push after
-    which the object could fall from the table is not chosen: all hypotheses must keep it balanced by 20 mm,
-    or by no less than before. Without a belief, its whole outline must stay on the table, or no less of it.
+    which the object could fall from the table is not chosen: all hypotheses that are not negligible must keep
+    it balanced by 20 mm, or by no less than before. Without a belief, its whole outline must stay on the
+    table, or no less of it.
     A push that ends elsewhere if the finger touches 1 mm to the side is the last choice: hypotheses disagree
     on it, but its end depends on the outline more than on the maps.
 
@@ -102,6 +103,7 @@ def choose_push(
     if strategy not in STRATEGIES:
         raise ValueError(f"unknown strategy {strategy!r}; choose one of {', '.join(STRATEGIES)}")
     habits = settings or PokeSettings()
+    belief = None if belief is None else _likely(belief)
     contacts = candidate_pushes(
         grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
@@ -184,9 +186,24 @@ def _balanced(
         margins = table.margin(placed(grid.exterior, places[..., None, :])).min(axis=-1)
     else:
         margins = own_balance_margins(grid, belief.centers_of_mass[:, None], places, table)
-    least, falls = margins.min(axis=0), rollouts.tipped.any(axis=0)
-    wanted = min(0.0 if belief is None else _SAFE, least[-1])
-    return np.asarray((least[:-1] >= wanted) & ~falls)
+    after, before = margins[:, :-1], margins[:, -1:]
+    wanted = np.minimum(0.0 if belief is None else _SAFE, before)
+    return np.asarray(((after >= wanted) & ~_tips_on_the_way(rollouts)).all(axis=0))
+
+
+def _likely(belief: Belief) -> Belief:
+    """The belief without its negligible hypotheses, which could forbid every push."""
+    p = belief.probability
+    kept = np.flatnonzero(p > NEGLIGIBLE * p.max())
+    if len(kept) == len(belief):
+        return belief
+    return replace(belief, maps=belief.maps[kept], probability=p[kept] / p[kept].sum())
+
+
+def _tips_on_the_way(rollouts: Rollouts) -> NDArray[np.bool_]:
+    """(K, S) whether the object tips over the rim during each push; a hypothesis by which it did so before
+    the push must be wrong."""
+    return rollouts.tipped & (rollouts.tips > 0)
 
 
 def _robust(
@@ -244,7 +261,7 @@ def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) 
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)
     # A push that tips the object over the table's rim teaches nothing.
-    return np.where(rollouts.tipped.any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
+    return np.where(_tips_on_the_way(rollouts).any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
 
 
 def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:

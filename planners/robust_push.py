@@ -40,7 +40,7 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
 from slipmap.planners.exploration import NoReachablePush
-from slipmap.planners.settings import PushSettings
+from slipmap.planners.settings import NEGLIGIBLE, PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
 
@@ -49,7 +49,6 @@ STRIDE = 2.5e-3
 0.1 m end within 0.2 mm (95 %), over 0.25 m within 0.4 mm."""
 
 _DRIFTS = 20240607  # seed of the model errors
-NEGLIGIBLE = 1e-4  # probability below which a hypothesis is not simulated
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
 from slipmap.planners.pregrasp import planning_belief
 from slipmap.planners.push_decisions import Decision, Pursuit, decide, near_enough
-from slipmap.planners.robust_push import NEGLIGIBLE
-from slipmap.planners.settings import METHODS, PregraspSettings
+from slipmap.planners.settings import METHODS, NEGLIGIBLE, PregraspSettings
 from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05

@@ -160,6 +160,49 @@ def test_near_the_rim_no_push_risks_a_fall(known):
     assert worst(table=table) > (0.02 if known else 0.0)
 
 
+OUTWARDS = np.array([0.39, 0.0, -np.pi / 2])
+"""Where the hammer's head points over the rim of a round table of radius 0.5 m."""
+
+
+def believed_near_the_rim(doubt):
+    """The truth, by which a hammer at `OUTWARDS` stays, and with probability `doubt` a heavier head, by which
+    it would have fallen."""
+    grid, truth = hammer()
+    mass = truth.mass[0]
+    belief = a_belief([mass, mass * np.where(grid.centers[:, 1] > 0.1, 4.0, 0.25)])
+    belief = replace(belief, probability=np.array([1.0 - doubt, doubt]))
+    table = Table("round", (0.0, 0.0), radius=0.5)
+    margins = balance_margins(grid, belief.centers_of_mass, OUTWARDS[None], table)[0]
+    assert margins[1] < 0.0 < margins[0]
+    return belief, table
+
+
+def away_from_the_rim(doubt, strategy="random"):
+    """The choice at `OUTWARDS`, and how much farther it moves each centre of mass inside the support, m."""
+    belief, table = believed_near_the_rim(doubt)
+    choice = choose_push(
+        belief.grid, OUTWARDS, RADIUS, strategy=strategy, belief=belief, past=[choose(5)], table=table,
+        rng=np.random.default_rng(1),
+    )  # fmt: skip
+    ends = belief.on(table).slider.rollout(belief.maps, [_imagined(choice.push, OUTWARDS)]).end[:, 0, :3]
+    places = np.concatenate([OUTWARDS[None], ends])
+    margins = balance_margins(belief.grid, belief.centers_of_mass, places, table)
+    return choice, np.array([margins[1 + k, k] - margins[0, k] for k in range(2)])
+
+
+@pytest.mark.parametrize("strategy", ["random", "most-distinctive"])
+def test_a_negligible_hypothesis_forbids_no_push_that_the_others_allow(strategy):
+    negligible, _ = away_from_the_rim(1e-6, strategy)
+    impossible, _ = away_from_the_rim(0.0, strategy)
+    assert np.array_equal(negligible.push.begin, impossible.push.begin)
+
+
+@pytest.mark.parametrize("strategy", ["random", "most-distinctive"])
+def test_a_hypothesis_by_which_the_object_had_fallen_asks_for_pushes_inwards(strategy):
+    _, gained = away_from_the_rim(0.2, strategy)
+    assert (gained >= 0.0).all()
+
+
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_where_nothing_is_safe_it_says_so(strategy):
     with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
