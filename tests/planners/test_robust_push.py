@@ -14,7 +14,7 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.exploration import NoReachablePush
-from slipmap.planners.robust_push import plan_push
+from slipmap.planners.robust_push import Scenarios, plan_push
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
@@ -71,6 +71,25 @@ def test_no_push_over_the_edge_even_where_the_target_is_there():
     margins = balance_margins(BELIEF.grid, BELIEF.centers_of_mass, planned.predicted, TABLE)
     assert planned.fall_probability < 0.05
     assert np.diagonal(margins).min() > 0
+
+
+def test_ends_tell_a_fall_on_the_way_from_one_at_the_end():
+    scenarios = Scenarios.of(BELIEF, SETTINGS, np.random.default_rng(0))
+    poses = np.repeat([[0.1, 0.0, 0.3], [0.6, 0.0, 0.3], [0.1, 0.0, 0.3]], [18, 1, 1], axis=0)
+    falls = np.repeat([False, True], [18, 2])
+    ends = scenarios.ends(poses, falls, TABLE)
+    inside, beyond = balance_margins(BELIEF.grid, BELIEF.centers_of_mass, poses[[0, 18]], TABLE)
+    assert ends.margins == pytest.approx([*inside[:18], beyond[18], 0.0])
+    assert beyond[18] < 0.0 < inside.min()
+
+
+def test_the_ends_of_a_push_over_the_edge_are_falls():
+    reckless = replace(SETTINGS, fall_cost=0.0)
+    planned = plan([0.6, 0.0, 0.3], pose=np.array([0.4, 0.0, 0.3]), settings=reckless)
+    assert planned.fall_probability == pytest.approx(1.0)
+    assert planned.ends.falls.all()
+    assert planned.ends.margins.max() < 0.0
+    assert planned.predicted == pytest.approx(planned.ends.poses)  # one scenario for each hypothesis
 
 
 def test_the_nearest_of_many_targets_is_served_unless_it_costs_more():
