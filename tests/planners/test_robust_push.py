@@ -10,10 +10,12 @@ import pytest
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.push_decisions import goal_costs
 from slipmap.planners.robust_push import Scenarios, plan_push
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
@@ -63,6 +65,19 @@ def test_a_frame_is_pushed_from_inside_where_that_is_best():
         assert (np.abs(planned.push.begin).max() < 0.045) == (opening == 0.09)
         gaps.append(planned.gap)
     assert gaps[0] < gaps[1]
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_object_of_a_single_cell_is_pushed_too():
+    square = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    grid = CellGrid(np.zeros((1, 2)), 0.06, square)
+    belief = belief_about(SimpleNamespace(grid=grid, mu=np.array([0.3]), mass=np.array([0.2]), mu_finger=0.3))
+    assert np.isfinite(belief.end_errors).all()
+    planned = plan([0.1, 0.0, 0.0], pose=np.zeros(3), belief=belief)
+    assert planned.predicted.mean(axis=0)[:2] == pytest.approx([0.1, 0.0], abs=0.018)
+    rng = np.random.default_rng(0)
+    inside, over = goal_costs(belief, np.array([[0.3, 0, 0], [0.5, 0, 0]]), TABLE, SETTINGS, rng)
+    assert inside == 0.0 < over
 
 
 def test_no_push_over_the_edge_even_where_the_target_is_there():
