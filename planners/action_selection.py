@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from slipmap.planners.telling_push import Question
 
 _SAFE = 0.02  # m; least balance margin after a push, which may end some millimetres off
-_FARTHEST = 2.0  # times the finger's way; no point of a pushed object goes farther
+_FARTHEST = 2.0  # times the finger's way and the object's own after that; no point of it goes farther
+_RESTING = 1e-3  # m/s; no point of an object at rest moves faster in a simulation
+_COASTING, _COASTS = 2.0, 10  # s for which it slides on at a time, and how often, until it counts as lost
 _TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
 # Where a finger touches so far elsewhere, m, a robust push ends no more than so many times farther away. Most
 # amplify it by less than 2, and those on which the finger may slip off a corner by 3 to 50.
@@ -170,25 +172,60 @@ def _balanced(
     """(S,) whether the object stays safe on the table after each push, see `choose_push`."""
     if not choices:
         return np.zeros(0, dtype=bool)
-    longest = max(choice.push.length for choice in choices)
-    if table.margin(placed(grid.exterior, pose)).min() > _FARTHEST * longest:
-        return np.ones(len(choices), dtype=bool)
     if belief is None:
         slider, maps = _uniform(grid, finger_radius, table)
     else:
         slider, maps = belief.on(table).slider, belief.maps
+    farthest = _FARTHEST * max(_way(choice.push, slider, maps) for choice in choices)
+    if table.margin(placed(grid.exterior, pose)).min() > farthest:
+        return np.ones(len(choices), dtype=bool)
     try:
-        rollouts = slider.rollout(maps, [_imagined(choice.push, pose) for choice in choices])
+        ends, falls = _at_rest(choices, pose, slider, maps)
     except RolloutError:
         return np.zeros(len(choices), dtype=bool)
-    places = np.concatenate([rollouts.end[..., :3], np.broadcast_to(pose, (len(maps), 1, 3))], axis=1)
+    places = np.concatenate([ends, np.broadcast_to(pose, (len(maps), 1, 3))], axis=1)
     if belief is None:
         margins = table.margin(placed(grid.exterior, places[..., None, :])).min(axis=-1)
     else:
         margins = own_balance_margins(grid, belief.centers_of_mass[:, None], places, table)
     after, before = margins[:, :-1], margins[:, -1:]
     wanted = np.minimum(0.0 if belief is None else _SAFE, before)
-    return np.asarray(((after >= wanted) & ~_tips_on_the_way(rollouts)).all(axis=0))
+    return np.asarray(((after >= wanted) & ~falls).all(axis=0))
+
+
+def _way(push: TablePush, slider: Slider, maps: Maps) -> float:
+    """The finger's way, and the longest, v² / (2 µ g), on which the object then slides on by itself, m."""
+    mu = (maps.mass * maps.mu).sum(axis=1) / maps.mass.sum(axis=1)
+    return push.length + push.speed**2 / (2.0 * slider.gravity * max(float(mu.min()), 1e-6))
+
+
+def _at_rest(
+    choices: Sequence[Choice], pose: FloatArray, slider: Slider, maps: Maps
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(K, S, 3) where each push leaves the object once that rests, world; (K, S) whether it falls on the way,
+    or never rests."""
+    rollouts = slider.rollout(maps, [_imagined(choice.push, pose) for choice in choices])
+    ends, falls, tipped = rollouts.end.copy(), _tips_on_the_way(rollouts), rollouts.tipped
+    steps = round(_COASTING / LONGEST_STEP)
+    for _ in range(_COASTS):
+        moving = np.flatnonzero((_slides(ends, slider.grid) & ~tipped).any(axis=0))
+        if not len(moving):
+            return ends[..., :3], falls
+        resting = [np.tile(choices[int(k)].push.end, (steps + 1, 1)) for k in moving]
+        more = slider.rollout(
+            maps, [Push(LONGEST_STEP, tip, pose) for tip in resting],
+            start_poses=ends[:, moving, :3], start_twists=ends[:, moving, 3:],
+        )  # fmt: skip
+        ends[:, moving] = more.end
+        falls[:, moving] |= _tips_on_the_way(more)
+        tipped[:, moving] |= more.tipped
+    return ends[..., :3], falls | (_slides(ends, slider.grid) & ~tipped)
+
+
+def _slides(states: FloatArray, grid: CellGrid) -> NDArray[np.bool_]:
+    """(…) whether a point of the object may move, by its poses and twists (…, 6)."""
+    speed = np.hypot(states[..., 3], states[..., 4]) + grid.reach * np.abs(states[..., 5])
+    return np.asarray(speed > _RESTING)
 
 
 def _likely(belief: Belief) -> Belief:

@@ -1,5 +1,6 @@
 """Algorithm 2: which push is chosen, and what it keeps to."""
 
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,10 +10,11 @@ import shapely
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.benchmark_objects import hammer
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.rollout import Maps, Slider, Smoothing
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 from slipmap.planners.action_selection import _imagined, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import STRATEGIES, PokeSettings
@@ -158,6 +160,26 @@ def test_near_the_rim_no_push_risks_a_fall(known):
     assert 0.03 < now < 0.05
     assert worst() < 0.0
     assert worst(table=table) > (0.02 if known else 0.0)
+
+
+@pytest.mark.parametrize(("x", "mu"), [(0.25, 0.02), (0.3, 0.03), (0.35, 0.03)])
+def test_a_slippery_object_comes_to_rest_on_the_table(x, mu):
+    """A tap makes it slide on for seconds and over 10 cm; the finger has stopped long before."""
+    grid = cells_from_polygon(0.05 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), width=0.02)
+    maps = Maps(np.full((3, len(grid)), 0.02), np.full((3, len(grid)), mu), np.full(3, 0.3))
+    belief = replace(a_belief([hammer()[1].mass[0]] * 3), grid=grid, maps=maps)
+    table, pose = Table("round", (0.0, 0.0), radius=0.5), np.array([x, 0.0, 0.0])
+    slider, taps = Slider(grid, RADIUS, table=table), []
+    for seed in range(8):
+        with suppress(NoReachablePush):
+            choice = choose_push(
+                grid, pose, RADIUS, strategy="random", belief=belief, table=table, tap=True,
+                settings=PokeSettings(region=0.9), rng=np.random.default_rng(seed),
+                allowed=lambda push: push.direction[0] > 0.7 and push.creep > 0,
+            )  # fmt: skip
+            taps.append(Push(0.005, choice.push.path(0.005, rest=6.0), pose))
+    assert len(taps) >= 4
+    assert not slider.rollout(maps[:1], taps).tipped.any()
 
 
 OUTWARDS = np.array([0.39, 0.0, -np.pi / 2])
