@@ -70,5 +70,10 @@ def from_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
 
 
 def radius_of_gyration(grid: CellGrid) -> float:
-    """Radius of gyration of the cells about their centroid, m; times an angle, about how far cells move."""
+    """Radius of gyration of the cells about their centroid, m; times an angle, about how far cells move.
+
+    A single cell turns about its own centre; its radius is that of a square of side w, w / √6.
+    """
+    if len(grid) == 1:
+        return float(grid.width / np.sqrt(6.0))
     return float(np.sqrt(((grid.centers - grid.centers.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -25,17 +25,19 @@ from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
+from slipmap.models.physics.rollout import Maps, Push, RolloutError, Rollouts, Slider
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
-from slipmap.planners.settings import STRATEGIES, PokeSettings
+from slipmap.planners.settings import NEGLIGIBLE, STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
 if TYPE_CHECKING:
     from slipmap.planners.telling_push import Question
 
 _SAFE = 0.02  # m; least balance margin after a push, which may end some millimetres off
-_FARTHEST = 2.0  # times the finger's way; no point of a pushed object goes farther
+_FARTHEST = 2.0  # times the finger's way and the object's own after that; no point of it goes farther
+_RESTING = 1e-3  # m/s; no point of an object at rest moves faster in a simulation
+_COASTING, _COASTS = 2.0, 10  # s for which it slides on at a time, and how often, until it counts as lost
 _TOUCH_WAY = 0.004  # m that a tap continues slowly past the expected touch, which may be wrong
 # Where a finger touches so far elsewhere, m, a robust push ends no more than so many times farther away. Most
 # amplify it by less than 2, and those on which the finger may slip off a corner by 3 to 50.
@@ -74,8 +76,9 @@ def choose_push(
     """Choose the next push (Algorithm 2).
 
     Without past pushes, or without a belief if the strategy needs one, the choice is random. A push after
-    which the object could fall from the table is not chosen: all hypotheses must keep it balanced by 20 mm,
-    or by no less than before. Without a belief, its whole outline must stay on the table, or no less of it.
+    which the object could fall from the table is not chosen: all hypotheses that are not negligible must keep
+    it balanced by 20 mm, or by no less than before. Without a belief, its whole outline must stay on the
+    table, or no less of it.
     A push that ends elsewhere if the finger touches 1 mm to the side is the last choice: hypotheses disagree
     on it, but its end depends on the outline more than on the maps.
 
@@ -102,6 +105,7 @@ def choose_push(
     if strategy not in STRATEGIES:
         raise ValueError(f"unknown strategy {strategy!r}; choose one of {', '.join(STRATEGIES)}")
     habits = settings or PokeSettings()
+    belief = None if belief is None else _likely(belief)
     contacts = candidate_pushes(
         grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
@@ -114,7 +118,9 @@ def choose_push(
     if table is not None:
         safe = _balanced(choices, pose, grid, finger_radius, belief, table)
         choices = [choice for choice, stays in zip(choices, safe, strict=True) if stays]
-    if question is not None:
+    if not choices:
+        worth = np.zeros(0)
+    elif question is not None:
         worth = question.told_by([_imagined(choice.push, pose, question.habits.pushes) for choice in choices])
     elif strategy == "most-different" and past:
         worth = _differences(choices, past, grid)
@@ -166,25 +172,75 @@ def _balanced(
     """(S,) whether the object stays safe on the table after each push, see `choose_push`."""
     if not choices:
         return np.zeros(0, dtype=bool)
-    longest = max(choice.push.length for choice in choices)
-    if table.margin(placed(grid.exterior, pose)).min() > _FARTHEST * longest:
-        return np.ones(len(choices), dtype=bool)
     if belief is None:
         slider, maps = _uniform(grid, finger_radius, table)
     else:
         slider, maps = belief.on(table).slider, belief.maps
+    farthest = _FARTHEST * max(_way(choice.push, slider, maps) for choice in choices)
+    if table.margin(placed(grid.exterior, pose)).min() > farthest:
+        return np.ones(len(choices), dtype=bool)
     try:
-        rollouts = slider.rollout(maps, [_imagined(choice.push, pose) for choice in choices])
+        ends, falls = _at_rest(choices, pose, slider, maps)
     except RolloutError:
         return np.zeros(len(choices), dtype=bool)
-    places = np.concatenate([rollouts.end[..., :3], np.broadcast_to(pose, (len(maps), 1, 3))], axis=1)
+    places = np.concatenate([ends, np.broadcast_to(pose, (len(maps), 1, 3))], axis=1)
     if belief is None:
         margins = table.margin(placed(grid.exterior, places[..., None, :])).min(axis=-1)
     else:
         margins = own_balance_margins(grid, belief.centers_of_mass[:, None], places, table)
-    least, falls = margins.min(axis=0), rollouts.tipped.any(axis=0)
-    wanted = min(0.0 if belief is None else _SAFE, least[-1])
-    return np.asarray((least[:-1] >= wanted) & ~falls)
+    after, before = margins[:, :-1], margins[:, -1:]
+    wanted = np.minimum(0.0 if belief is None else _SAFE, before)
+    return np.asarray(((after >= wanted) & ~falls).all(axis=0))
+
+
+def _way(push: TablePush, slider: Slider, maps: Maps) -> float:
+    """The finger's way, and the longest, v² / (2 µ g), on which the object then slides on by itself, m."""
+    mu = (maps.mass * maps.mu).sum(axis=1) / maps.mass.sum(axis=1)
+    return push.length + push.speed**2 / (2.0 * slider.gravity * max(float(mu.min()), 1e-6))
+
+
+def _at_rest(
+    choices: Sequence[Choice], pose: FloatArray, slider: Slider, maps: Maps
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(K, S, 3) where each push leaves the object once that rests, world; (K, S) whether it falls on the way,
+    or never rests."""
+    rollouts = slider.rollout(maps, [_imagined(choice.push, pose) for choice in choices])
+    ends, falls, tipped = rollouts.end.copy(), _tips_on_the_way(rollouts), rollouts.tipped
+    steps = round(_COASTING / LONGEST_STEP)
+    for _ in range(_COASTS):
+        moving = np.flatnonzero((_slides(ends, slider.grid) & ~tipped).any(axis=0))
+        if not len(moving):
+            return ends[..., :3], falls
+        resting = [np.tile(choices[int(k)].push.end, (steps + 1, 1)) for k in moving]
+        more = slider.rollout(
+            maps, [Push(LONGEST_STEP, tip, pose) for tip in resting],
+            start_poses=ends[:, moving, :3], start_twists=ends[:, moving, 3:],
+        )  # fmt: skip
+        ends[:, moving] = more.end
+        falls[:, moving] |= _tips_on_the_way(more)
+        tipped[:, moving] |= more.tipped
+    return ends[..., :3], falls | (_slides(ends, slider.grid) & ~tipped)
+
+
+def _slides(states: FloatArray, grid: CellGrid) -> NDArray[np.bool_]:
+    """(…) whether a point of the object may move, by its poses and twists (…, 6)."""
+    speed = np.hypot(states[..., 3], states[..., 4]) + grid.reach * np.abs(states[..., 5])
+    return np.asarray(speed > _RESTING)
+
+
+def _likely(belief: Belief) -> Belief:
+    """The belief without its negligible hypotheses, which could forbid every push."""
+    p = belief.probability
+    kept = np.flatnonzero(p > NEGLIGIBLE * p.max())
+    if len(kept) == len(belief):
+        return belief
+    return replace(belief, maps=belief.maps[kept], probability=p[kept] / p[kept].sum())
+
+
+def _tips_on_the_way(rollouts: Rollouts) -> NDArray[np.bool_]:
+    """(K, S) whether the object tips over the rim during each push; a hypothesis by which it did so before
+    the push must be wrong."""
+    return rollouts.tipped & (rollouts.tips > 0)
 
 
 def _robust(
@@ -242,7 +298,7 @@ def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) 
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)
     # A push that tips the object over the table's rim teaches nothing.
-    return np.where(rollouts.tipped.any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
+    return np.where(_tips_on_the_way(rollouts).any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
 
 
 def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:

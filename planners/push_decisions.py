@@ -53,15 +53,16 @@ class Pursuit:
     way: Way | None = None  # followed now; None at first
     # index of the goal of every push made; -1 for goals that are none any more
     served: tuple[int, ...] = ()
-    refused: tuple[TablePush, ...] = ()  # pushes that the robot refused since the last one made
-    refusal: str = ""  # why it refused the last of these
+    # pushes since the last one made that the robot refused, or that touched nothing
+    refused: tuple[TablePush, ...] = ()
+    refusal: str = ""  # why it did not make the last of these
 
     def made(self, way: Way) -> Pursuit:
         """The history with one more push made."""
         return Pursuit(way, (*self.served, way.goal))
 
     def not_made(self, way: Way, push: TablePush, refusal: str) -> Pursuit:
-        """The history with one more push refused by the robot."""
+        """The history with one more push refused by the robot, or that touched nothing."""
         return replace(self, way=way, refused=(*self.refused, push), refusal=refusal)
 
     def to_other_goals(self, places: Mapping[int, int]) -> Pursuit:
@@ -130,7 +131,7 @@ def decide(
         return Decision(None, way, reason=f"no goal was reached in {count} pushes")
     refused = pursuit.refused
     if len(refused) == settings.refusals:
-        reason = f"{len(refused)} pushes in a row were refused, the last because {pursuit.refusal}"
+        reason = f"{len(refused)} pushes in a row were refused or missed, the last because {pursuit.refusal}"
         return Decision(None, way, reason=reason)
 
     def possible(push: TablePush) -> bool:

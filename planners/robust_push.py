@@ -27,7 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from slipmap.models.blas import one_blas_thread
@@ -40,7 +40,7 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
 from slipmap.planners.exploration import NoReachablePush
-from slipmap.planners.settings import PushSettings
+from slipmap.planners.settings import NEGLIGIBLE, PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
 
@@ -49,7 +49,6 @@ STRIDE = 2.5e-3
 0.1 m end within 0.2 mm (95 %), over 0.25 m within 0.4 mm."""
 
 _DRIFTS = 20240607  # seed of the model errors
-NEGLIGIBLE = 1e-4  # probability below which a hypothesis is not simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +112,12 @@ class Scenarios:
         numbers = np.unique(self.hypothesis)
         return np.array([poses[self.hypothesis == k].mean(axis=0) for k in numbers])
 
+    def ends(self, poses: FloatArray, falls: NDArray[np.bool_], table: Table) -> PushEnds:
+        """The ends of a push at poses (S, 3), world; `falls` (S,) tells where the object falls by then."""
+        margins = own_balance_margins(self.slider.grid, self.centers_of_mass, poses, table)
+        on_the_way = falls & (margins >= self.least_margins)
+        return PushEnds(poses, falls, np.where(on_the_way, 0.0, margins), self.probability)
+
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
@@ -123,7 +128,8 @@ class Foresight:
     directions: FloatArray  # (C, 2) unit vectors of the finger's motion, world
     lengths: FloatArray  # (L,) distance that the finger travels after first touch, m
     poses: FloatArray  # (C, L, S, 3) of the object at the end, world; NaN where the model has no solution
-    falls: FloatArray  # (C, L) probability that the balance margin drops below the settings' on the way
+    fallen: NDArray[np.bool_]  # (C, L, S) whether the balance margin drops below the settings' on the way
+    falls: FloatArray  # (C, L) probability of that
     probability: FloatArray  # (S,) of the scenarios
     # (C, L, S, 3) final poses relative to the initial one on a table without a rim; as in `poses` if the rim
     # is not near or `onward` was not set
@@ -187,8 +193,9 @@ def foresee(
     centers = np.broadcast_to(scenarios.centers_of_mass, (C, L, S, 2))[beyond]
     margins = own_balance_margins(scenarios.slider.grid, centers, poses[beyond], table)
     tips[beyond] |= margins < np.broadcast_to(scenarios.least_margins, (C, L, S))[beyond]
-    falls = np.logical_or.accumulate(tips, axis=1) @ scenarios.probability
-    return Foresight(lines, begins, directions, lengths, poses, falls, scenarios.probability, moves)
+    fallen = np.logical_or.accumulate(tips, axis=1)
+    p = scenarios.probability
+    return Foresight(lines, begins, directions, lengths, poses, fallen, fallen @ p, p, moves)
 
 
 def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
@@ -311,6 +318,16 @@ _SHIFT, _TILT = 0.008, np.radians(6.0)  # standard deviations of the variation, 
 
 
 @dataclass(frozen=True, eq=False)
+class PushEnds:
+    """Where the object may lie after a push, in S scenarios."""
+
+    poses: FloatArray  # (S, 3) world
+    falls: NDArray[np.bool_]  # (S,) whether it falls, on the way or at the end
+    margins: FloatArray  # (S,) balance margin at the end, m; 0 if it falls only on the way
+    probability: FloatArray  # (S,) of the scenarios, sums to one
+
+
+@dataclass(frozen=True, eq=False)
 class PlannedPush:
     """A push and its expected result."""
 
@@ -320,6 +337,7 @@ class PlannedPush:
     fall_probability: float  # that the object falls on the way or at the end
     # (K, 3) pose after the push in each non-negligible hypothesis, averaged over control noise, world
     predicted: FloatArray
+    ends: PushEnds  # the same with control noise
     pushes: float  # expected number of pushes to the target, this one included
 
 
@@ -384,7 +402,7 @@ def plan_push(
             seen.append(foresee(scenarios, pose, varied, table, settings, onward=False))
             values.append(expected(seen[-1]))
             lines = lines.joined(varied)
-    return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
+    return _first_allowed(seen, values, goals, near, metric, scenarios, table, settings, allowed)
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -425,6 +443,7 @@ def _first_allowed(
     near: np.ndarray,
     metric: PoseMetric,
     scenarios: Scenarios,
+    table: Table,
     settings: PushSettings,
     allowed: Callable[[TablePush], bool],
 ) -> PlannedPush:
@@ -433,6 +452,7 @@ def _first_allowed(
     served = np.concatenate([v.argmin(axis=2) for v in values])
     poses = np.concatenate([s.poses for s in seen])
     falls = np.concatenate([s.falls for s in seen])
+    fallen = np.concatenate([s.fallen for s in seen])
     begins = np.concatenate([s.begins for s in seen])
     directions = np.concatenate([s.directions for s in seen])
     longest = np.full(len(value), np.inf)
@@ -457,6 +477,7 @@ def _first_allowed(
             gap=float(scenarios.probability @ metric.gap(ends, goals[target])),
             fall_probability=min(1.0, float(falls[line, length])),
             predicted=scenarios.of_hypotheses(ends),
+            ends=scenarios.ends(ends, fallen[line, length], table),
             pushes=float(value[line, length]),
         )
     raise NoReachablePush(f"planning: the robot can make none of {value.size} candidate pushes")

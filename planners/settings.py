@@ -15,6 +15,9 @@ METHODS = ("probabilistic", "deterministic", "uniform", "true")
 """Methods of planning, see `slipmap.planners.pregrasp.planning_belief`: with all hypotheses; with one drawn
 at random; with a uniform object; with the truth."""
 
+NEGLIGIBLE = 1e-4
+"""Probability below which a hypothesis is not simulated."""
+
 
 @dataclass
 class RepairSettings(CheckedSettings):

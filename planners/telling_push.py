@@ -57,6 +57,7 @@ _LEADS = 2.0  # nats that such an effect must gain
 _FASTER = 1.5  # factor by which a proposed push may be faster or slower than any recorded one
 _DWELL = 0.5  # s for which the finger stops half-way
 _TOLD = 1.0  # standard deviations of the error below which models are predicted alike
+_SHARES = (1.0, 0.5, -0.5)  # of the way to another place, tried in turn
 _APPROACH = 0.01  # m between finger and object at the start
 
 
@@ -525,13 +526,17 @@ def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) 
     if repeated is None:
         return None
     depends = (diagnosis.depends_on or "").split(":")[0]
-    changed, what = _changed(repeated, depends, habits)
-    asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(off[worst])}
-    trial = observation.trial
-    return asked | {
-        "sentence": f"Repeat push {trial}, which the model predicts worst"
-        f" ({off[worst]:.1f} times the expected error), {what}. {_how_to(asked, dataset.grid)}"
-        " If the error changes, it depends on what you changed; if not, it does not."
+    changed = _changed(repeated, depends, dataset, habits)
+    if changed is None:
+        asked, what = repeated, "exactly as it was, because a change would take it off the table"
+        learned = "If the error stays the same, it is no accident."
+    else:
+        asked, what = changed
+        learned = "If the error changes, it depends on what you changed; if not, it does not."
+    told = asked.to_json() | {"separates": [depends or "unknown"], "separation": float(off[worst])}
+    return told | {
+        "sentence": f"Repeat push {observation.trial}, which the model predicts worst"
+        f" ({off[worst]:.1f} times the expected error), {what}. {_how_to(told, dataset.grid)} {learned}"
     }
 
 
@@ -555,27 +560,51 @@ def _repeated(observation: Observation, dataset: PushDataset) -> Instruction | N
     return Instruction(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
 
 
-def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instruction, str]:
-    """The push with one thing changed, and the change in words."""
+def _changed(
+    push: Instruction, depends: str, dataset: PushDataset, habits: Habits
+) -> tuple[Instruction, str] | None:
+    """The push with one thing changed, and the change in words; None if it would leave the table with every
+    such change."""
     if "place" in depends:
         middle = 0.5 * (habits.low + habits.high)
         way = push.end - push.begin
         other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
-        pose = push.pose + np.append(other, 0.0)
-        moved = replace(push, pose=pose, begin=push.begin + other, end=push.end + other)
-        return moved, "at another place, with everything else the same"
+        moved = [_moved(push, share * other) for share in _SHARES]
+        return _first_on_table(
+            moved, ["at another place, with everything else the same"] * len(moved), dataset
+        )
     if "direction" in depends or "object" in depends:
-        angle = np.pi / 2 if "direction" in depends else np.pi
-        rotation, origin = turn(angle), push.pose[:2]
-        begin, end = (origin + rotation @ (place - origin) for place in (push.begin, push.end))
-        turned = replace(push, pose=push.pose + np.array([0.0, 0.0, angle]), begin=begin, end=end)
-        return turned, f"with object and finger turned by {np.degrees(angle):.0f} degrees"
+        angles = (90, -90, 180) if "direction" in depends else (180, 90, -90)
+        turned = [_turned(push, np.radians(angle)) for angle in angles]
+        words = [f"with object and finger turned by {angle} degrees" for angle in angles]
+        return _first_on_table(turned, words, dataset)
     if "time" in depends:
         return replace(push, dwell=2.0), "with a stop of 2 s half-way"
     if "order" in depends:
         return push, "exactly as it was, but after all the others"
     fast = habits.speeds[2] if push.speed < 0.75 * habits.speeds[2] else habits.speeds[0]
     return replace(push, speed=fast), f"at {fast / push.speed:.1f} times its speed"
+
+
+def _moved(push: Instruction, way: FloatArray) -> Instruction:
+    """The push with object and finger shifted by (2,), world, m."""
+    pose = push.pose + np.append(way, 0.0)
+    return replace(push, pose=pose, begin=push.begin + way, end=push.end + way)
+
+
+def _turned(push: Instruction, angle: float) -> Instruction:
+    """The push with object and finger turned about the object's origin, rad."""
+    rotation, origin = turn(angle), push.pose[:2]
+    begin, end = (origin + rotation @ (place - origin) for place in (push.begin, push.end))
+    return replace(push, pose=push.pose + np.array([0.0, 0.0, angle]), begin=begin, end=end)
+
+
+def _first_on_table(
+    pushes: Sequence[Instruction], words: Sequence[str], dataset: PushDataset
+) -> tuple[Instruction, str] | None:
+    """The first of the pushes that stays on the table, with its words."""
+    fitting = (told for told in zip(pushes, words, strict=True) if _on_table(told[0], dataset))
+    return next(fitting, None)
 
 
 def _sentence(

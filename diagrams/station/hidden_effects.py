@@ -332,8 +332,10 @@ class LatePictures(PythonSystem):
         super().__init__()
         self._picture = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
         self._count = max(int(np.ceil(latency / period - 1e-9)), 1)
+        offset = self._count * period - latency
         self._taken = self.DeclareAbstractState(held(()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, -latency % period, self._take)
+        # A latency of whole periods is off from them by rounding, which must not move the event before them.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset if offset > 1e-9 else 0.0, self._take)
         self.DeclareAbstractOutputPort(
             "depth_image",
             lambda: AbstractValue.Make(ImageDepth32F()),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
@@ -18,7 +19,7 @@ from slipmap.diagrams.systems.workers import begun
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import SeenObject
-from slipmap.models.physics.balance import own_balance_margins
+from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.settings import check_choice
@@ -26,7 +27,7 @@ from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
 from slipmap.planners.pregrasp import planning_belief
 from slipmap.planners.push_decisions import Decision, Pursuit, decide, near_enough
-from slipmap.planners.robust_push import NEGLIGIBLE
+from slipmap.planners.robust_push import PushEnds
 from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.table_push import TablePush
 
@@ -145,10 +146,10 @@ class _Procedure:
         goal = None if decision.way is None else now.goals[decision.way.goal]
         plan = PregraspPlan(number, goal, reason=decision.reason)
         if decision.reached:
-            success, margin = self._prospects(now, pose[None])
+            success, margin = self._prospects_of_grasp(now.known, pose)
             plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
-        elif decision.planned is not None:
-            success, margin = self._prospects(now, decision.planned.predicted, goal)
+        elif decision.planned is not None and goal is not None:
+            success, margin = self._prospects_of_push(decision.planned.ends, goal)
             plan = PregraspPlan(number, goal, decision.planned, None, success, margin)
         return replace(now, last=decision, plan=plan)
 
@@ -160,23 +161,26 @@ class _Procedure:
                 return [active]
         return []
 
-    def _prospects(self, now: _Planning, poses: FloatArray, goal: Goal | None = None) -> tuple[float, float]:
-        """Probability of success and margin of a plan, see `PregraspPlan`.
+    def _prospects_of_push(self, ends: PushEnds, goal: Goal) -> tuple[float, float]:
+        """Probability of success and margin of a push towards a goal, see `PregraspPlan`."""
+        there = np.array([near_enough(pose, goal.pose, self.settings.push) for pose in ends.poses])
+        return _total(ends.probability, there & ~ends.falls), self._kept(ends.margins, ends.probability)
 
-        Args:
-            poses: (K, 3) of the object under each simulated hypothesis, or (1, 3) for all of them.
-            goal: near which it must lie; anywhere if None.
-        """
-        imagined = now.known.probability > NEGLIGIBLE
-        p = now.known.probability[imagined] / now.known.probability[imagined].sum()
-        ends = np.broadcast_to(poses, (len(p), 3))
-        margins = own_balance_margins(now.known.grid, now.known.centers_of_mass[imagined], ends, self.table)
-        good = margins > 0
-        if goal is not None:
-            good &= [near_enough(end, goal.pose, self.settings.push) for end in ends]
+    def _prospects_of_grasp(self, known: Belief, pose: FloatArray) -> tuple[float, float]:
+        """The same of the grasp of an object at a pose (3,), world."""
+        margins = balance_margins(known.grid, known.centers_of_mass, pose[None], self.table)[0]
+        return _total(known.probability, margins > 0), self._kept(margins, known.probability)
+
+    def _kept(self, margins: FloatArray, probability: FloatArray) -> float:
+        """The margin that is kept with the probability 1 - epsilon of the settings, m."""
         order = np.argsort(margins)
-        sure = order[np.searchsorted(np.cumsum(p[order]), self.settings.goals.epsilon, side="right")]
-        return float(p @ good), float(margins[sure])
+        sure = np.searchsorted(np.cumsum(probability[order]), self.settings.goals.epsilon, side="right")
+        return float(margins[order[sure]])
+
+
+def _total(probability: FloatArray, good: NDArray[np.bool_]) -> float:
+    """The probability of what is good; a sum may exceed 1 by a rounding error."""
+    return min(1.0, float(probability @ good))
 
 
 class GoalAndPushPlanner(PythonSystem):

@@ -15,7 +15,8 @@ class LoopStatus:
     mode: str  # one of `MODES`
     push: int  # number of the current or next push, from 0
     attempt: int = 0  # number of the candidate for it, from 0; earlier ones were refused or touched nothing
-    reason: str = ""  # why the loop failed, or why the arm refused the previous candidate; else empty
+    # why the loop failed, or, while planning, why the previous candidate was refused or missed; else empty
+    reason: str = ""
     of: int = 0  # pushes of the exploration, as planned so far; 0 once it is over
 
     @property

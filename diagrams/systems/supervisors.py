@@ -147,8 +147,9 @@ class PushSupervisor(PythonSystem):
         return now if waited < self._patience else LoopStatus("failed", now.push, now.attempt, reason)
 
 
+_TOUCHED_NOTHING = "the finger touched nothing"
 _MISSED = (
-    f"the finger touched nothing in {MOST_MISSED} pushes: the object did not move, and no force was felt;"
+    f"{_TOUCHED_NOTHING} in {MOST_MISSED} pushes: the object did not move, and no force was felt;"
     " check that execution.tip_height is below the object's height, and check the camera's pose"
 )
 
@@ -273,7 +274,8 @@ class PregraspSupervisor(PythonSystem):
             if status.number in missed:
                 if _too_often(missed, status):
                     return to("failed", _MISSED)
-                return _Bringing(LoopStatus("planning", status.push, status.attempt + 1), time)
+                again = LoopStatus("planning", status.push, status.attempt + 1, _TOUCHED_NOTHING)
+                return _Bringing(again, time)
             if len(self.input(context, "trials")) > status.push:
                 if self.optional_input(context, "repair") is not None:
                     return to("diagnosing")

@@ -1,6 +1,8 @@
 """Algorithm 2: which push is chosen, and what it keeps to."""
 
+from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,10 +10,11 @@ import shapely
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.benchmark_objects import hammer
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.rollout import Maps, Slider, Smoothing
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 from slipmap.planners.action_selection import _imagined, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import STRATEGIES, PokeSettings
@@ -32,6 +35,15 @@ def a_belief(masses) -> Belief:
 
 def choose(seed=0, **options):
     return choose_push(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
+
+
+OFF_ITS_TABLE = {
+    "belief": a_belief(hammer()[1].mass),
+    "past": [choose(5)],
+    "settings": PokeSettings(shortest=0.25, longest=0.3),
+    "table": Table("round", tuple(POSE[:2]), radius=0.25),
+}
+"""A hammer on a table so small that every push moves it over the rim."""
 
 
 def outline_on_table(grid, pose):
@@ -150,14 +162,95 @@ def test_near_the_rim_no_push_risks_a_fall(known):
     assert worst(table=table) > (0.02 if known else 0.0)
 
 
-def test_where_nothing_is_safe_it_says_so():
-    grid = hammer()[0]
-    tiny = Table("round", tuple(POSE[:2]), radius=0.25)
+@pytest.mark.parametrize(("x", "mu"), [(0.25, 0.02), (0.3, 0.03), (0.35, 0.03)])
+def test_a_slippery_object_comes_to_rest_on_the_table(x, mu):
+    """A tap makes it slide on for seconds and over 10 cm; the finger has stopped long before."""
+    grid = cells_from_polygon(0.05 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), width=0.02)
+    maps = Maps(np.full((3, len(grid)), 0.02), np.full((3, len(grid)), mu), np.full(3, 0.3))
+    belief = replace(a_belief([hammer()[1].mass[0]] * 3), grid=grid, maps=maps)
+    table, pose = Table("round", (0.0, 0.0), radius=0.5), np.array([x, 0.0, 0.0])
+    slider, taps = Slider(grid, RADIUS, table=table), []
+    for seed in range(8):
+        with suppress(NoReachablePush):
+            choice = choose_push(
+                grid, pose, RADIUS, strategy="random", belief=belief, table=table, tap=True,
+                settings=PokeSettings(region=0.9), rng=np.random.default_rng(seed),
+                allowed=lambda push: push.direction[0] > 0.7 and push.creep > 0,
+            )  # fmt: skip
+            taps.append(Push(0.005, choice.push.path(0.005, rest=6.0), pose))
+    assert len(taps) >= 4
+    assert not slider.rollout(maps[:1], taps).tipped.any()
+
+
+OUTWARDS = np.array([0.39, 0.0, -np.pi / 2])
+"""Where the hammer's head points over the rim of a round table of radius 0.5 m."""
+
+
+def believed_near_the_rim(doubt):
+    """The truth, by which a hammer at `OUTWARDS` stays, and with probability `doubt` a heavier head, by which
+    it would have fallen."""
+    grid, truth = hammer()
+    mass = truth.mass[0]
+    belief = a_belief([mass, mass * np.where(grid.centers[:, 1] > 0.1, 4.0, 0.25)])
+    belief = replace(belief, probability=np.array([1.0 - doubt, doubt]))
+    table = Table("round", (0.0, 0.0), radius=0.5)
+    margins = balance_margins(grid, belief.centers_of_mass, OUTWARDS[None], table)[0]
+    assert margins[1] < 0.0 < margins[0]
+    return belief, table
+
+
+def away_from_the_rim(doubt, strategy="random"):
+    """The choice at `OUTWARDS`, and how much farther it moves each centre of mass inside the support, m."""
+    belief, table = believed_near_the_rim(doubt)
+    choice = choose_push(
+        belief.grid, OUTWARDS, RADIUS, strategy=strategy, belief=belief, past=[choose(5)], table=table,
+        rng=np.random.default_rng(1),
+    )  # fmt: skip
+    ends = belief.on(table).slider.rollout(belief.maps, [_imagined(choice.push, OUTWARDS)]).end[:, 0, :3]
+    places = np.concatenate([OUTWARDS[None], ends])
+    margins = balance_margins(belief.grid, belief.centers_of_mass, places, table)
+    return choice, np.array([margins[1 + k, k] - margins[0, k] for k in range(2)])
+
+
+@pytest.mark.parametrize("strategy", ["random", "most-distinctive"])
+def test_a_negligible_hypothesis_forbids_no_push_that_the_others_allow(strategy):
+    negligible, _ = away_from_the_rim(1e-6, strategy)
+    impossible, _ = away_from_the_rim(0.0, strategy)
+    assert np.array_equal(negligible.push.begin, impossible.push.begin)
+
+
+@pytest.mark.parametrize("strategy", ["random", "most-distinctive"])
+def test_a_hypothesis_by_which_the_object_had_fallen_asks_for_pushes_inwards(strategy):
+    _, gained = away_from_the_rim(0.2, strategy)
+    assert (gained >= 0.0).all()
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_where_nothing_is_safe_it_says_so(strategy):
     with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
-        choose_push(
-            grid, POSE, RADIUS, table=tiny, rng=np.random.default_rng(0),
-            settings=PokeSettings(shortest=0.25, longest=0.3),
-        )  # fmt: skip
+        choose(strategy=strategy, **OFF_ITS_TABLE)
+
+
+def test_where_nothing_is_safe_a_question_is_not_asked():
+    def told_by(pushes):
+        raise AssertionError(f"asked about {len(pushes)} pushes")
+
+    question = SimpleNamespace(told_by=told_by, habits=SimpleNamespace(pushes=1))
+    with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
+        choose(question=question, **OFF_ITS_TABLE)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_where_no_tap_is_safe_it_pushes_slowly(strategy):
+    """On a slippery table, the only tap to choose from would send the hammer over the rim."""
+    belief = a_belief(hammer()[1].mass)
+    belief = replace(belief, maps=replace(belief.maps, mu=0.1 * belief.maps.mu))
+    habits = PokeSettings(tap_speed=1.0, region=0.5, longest=0.08, candidates=1)
+    table = Table("round", tuple(POSE[:2]), radius=0.15)
+    choice = choose(
+        3, strategy=strategy, tap=True, belief=belief, past=[choose(5)], settings=habits, table=table
+    )
+    assert choice.push.creep == 0.0
 
 
 def test_what_the_robot_cannot_do_is_passed_over():

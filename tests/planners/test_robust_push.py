@@ -10,11 +10,13 @@ import pytest
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.exploration import NoReachablePush
-from slipmap.planners.robust_push import plan_push
+from slipmap.planners.push_decisions import goal_costs
+from slipmap.planners.robust_push import Scenarios, plan_push
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
@@ -65,12 +67,44 @@ def test_a_frame_is_pushed_from_inside_where_that_is_best():
     assert gaps[0] < gaps[1]
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_object_of_a_single_cell_is_pushed_too():
+    square = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    grid = CellGrid(np.zeros((1, 2)), 0.06, square)
+    belief = belief_about(SimpleNamespace(grid=grid, mu=np.array([0.3]), mass=np.array([0.2]), mu_finger=0.3))
+    assert np.isfinite(belief.end_errors).all()
+    planned = plan([0.1, 0.0, 0.0], pose=np.zeros(3), belief=belief)
+    assert planned.predicted.mean(axis=0)[:2] == pytest.approx([0.1, 0.0], abs=0.018)
+    rng = np.random.default_rng(0)
+    inside, over = goal_costs(belief, np.array([[0.3, 0, 0], [0.5, 0, 0]]), TABLE, SETTINGS, rng)
+    assert inside == 0.0 < over
+
+
 def test_no_push_over_the_edge_even_where_the_target_is_there():
     edge = np.array([0.38, 0.0, 0.3])
     planned = plan([0.6, 0.0, 0.3], pose=edge)
     margins = balance_margins(BELIEF.grid, BELIEF.centers_of_mass, planned.predicted, TABLE)
     assert planned.fall_probability < 0.05
     assert np.diagonal(margins).min() > 0
+
+
+def test_ends_tell_a_fall_on_the_way_from_one_at_the_end():
+    scenarios = Scenarios.of(BELIEF, SETTINGS, np.random.default_rng(0))
+    poses = np.repeat([[0.1, 0.0, 0.3], [0.6, 0.0, 0.3], [0.1, 0.0, 0.3]], [18, 1, 1], axis=0)
+    falls = np.repeat([False, True], [18, 2])
+    ends = scenarios.ends(poses, falls, TABLE)
+    inside, beyond = balance_margins(BELIEF.grid, BELIEF.centers_of_mass, poses[[0, 18]], TABLE)
+    assert ends.margins == pytest.approx([*inside[:18], beyond[18], 0.0])
+    assert beyond[18] < 0.0 < inside.min()
+
+
+def test_the_ends_of_a_push_over_the_edge_are_falls():
+    reckless = replace(SETTINGS, fall_cost=0.0)
+    planned = plan([0.6, 0.0, 0.3], pose=np.array([0.4, 0.0, 0.3]), settings=reckless)
+    assert planned.fall_probability == pytest.approx(1.0)
+    assert planned.ends.falls.all()
+    assert planned.ends.margins.max() < 0.0
+    assert planned.predicted == pytest.approx(planned.ends.poses)  # one scenario for each hypothesis
 
 
 def test_the_nearest_of_many_targets_is_served_unless_it_costs_more():

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.geometry import placed
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.results import ParameterEstimate, parameter_estimates
@@ -287,6 +288,29 @@ def test_unknown_repeats_the_worst_push_with_one_thing_changed(world: World, pro
     push_of(told)
     # The model fits; the worst of six pushes has about the expected error, however many rows it has.
     assert 0.3 < told["separation"] < 3.0 and "times the expected error" in told["sentence"]
+
+
+@pytest.mark.parametrize(
+    ("probe", "low", "high", "words"),
+    [
+        ("friction_by_direction", (-0.1, -0.14), (0.2, 0.07), "turned by -90 degrees"),
+        ("friction_by_direction", (-0.15, -0.08), (0.15, 0.05), "turned by 180 degrees"),
+        ("friction_by_direction", (-0.05, -0.08), (0.13, 0.05), "exactly as it was, because a change would"),
+        ("force_by_place", (-0.05, -0.08), (0.13, 0.06), "at another place"),
+        ("force_by_place", (-0.03, -0.075), (0.12, 0.04), "exactly as it was, because a change would"),
+    ],
+)
+def test_the_worst_push_changed_stays_on_the_table(world: World, probe: str, low, high, words: str) -> None:
+    """The worst push goes from x = -24 mm, y = -71 mm to 115 and 35 mm, by the corners of the outline."""
+    table = Table("rectangle", tuple(np.add(low, high) / 2), size=tuple(np.subtract(high, low)))
+    diagnosis = world.diagnosis("unknown", [], f"{probe}: some sentence.")
+    told = next_push(diagnosis, replace(world.dataset, table=table))
+    assert told is not None
+    before = placed(world.grid.exterior, np.array(told["pose"]))
+    after = before + np.subtract(told["tip_end"], told["tip_start"])
+    assert table.margin(np.vstack([before, after])).min() > 0.0
+    assert words in told["sentence"]
+    assert ("depends on what you changed" in told["sentence"]) == ("exactly" not in words)
 
 
 def test_nothing_to_find_out(world: World) -> None:

@@ -30,7 +30,7 @@ from slipmap.models.inference.identification import identify
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.paper_notation import add
 from slipmap.planners.pregrasp import Pregrasp
-from slipmap.planners.robust_push import NEGLIGIBLE
+from slipmap.planners.settings import NEGLIGIBLE
 
 TILT = 2.0  # slope of the table, deg
 MODELS = ("without the tilt", "with the tilt")  # the models compared

@@ -17,8 +17,9 @@ from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.balance import balance_margins
-from slipmap.models.physics.rollout import Maps, Smoothing
-from slipmap.planners.push_decisions import Way
+from slipmap.models.physics.rollout import Maps, Push, Smoothing
+from slipmap.planners.push_decisions import Way, near_enough
+from slipmap.planners.robust_push import PushEnds, plan_push
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
 from tests.planners.cell_world import TABLE, belief_about
 
@@ -101,7 +102,50 @@ def test_a_refused_push_is_not_asked_for_again_and_too_many_end_it():
     assert max(np.hypot(*(first.begin - second.begin)), np.hypot(*(first.end - second.end))) > 0.005
     last = planner.plan(attempt=2, reason="too near")
     assert (last.push, last.grasp) == (None, None)
-    assert "2 pushes in a row were refused, the last because too near" in last.reason
+    assert "2 pushes in a row were refused or missed, the last because too near" in last.reason
+
+
+def reaches(planned, goal, settings) -> float:
+    """Share of rollouts that end within the tolerances, with fresh noise of the finger."""
+    rng, count = np.random.default_rng(8), 400
+    begins = planned.push.begin + settings.position_noise * rng.standard_normal((count, 2))
+    angles = np.radians(settings.angle_noise) * rng.standard_normal(count)
+    way = np.linspace(0.0, planned.push.length, 200)
+    x, y = planned.push.direction
+    pushes = [
+        Push(way[1] / planned.push.speed, begin + np.outer(way, [c * x - s * y, s * x + c * y]), np.zeros(3))
+        for begin, c, s in zip(begins, np.cos(angles), np.sin(angles), strict=True)
+    ]
+    off = BELIEF.slider.rollout(BELIEF.maps, pushes).end[..., :3] - goal
+    near = np.linalg.norm(off[..., :2], axis=-1) <= settings.tolerance
+    return float((near & (np.abs(off[..., 2]) <= np.radians(settings.tolerance_angle))).mean())
+
+
+def test_the_probability_of_success_counts_the_noise_of_the_finger():
+    """On average over the noise, every hypothesis reaches these goals."""
+    settings = PushSettings(candidates=10, refinements=4, lengths=10, scenarios=200, position_noise=0.01)
+    procedure = GoalAndPushPlanner(PregraspSettings(push=settings), TABLE)._procedure
+    rng = np.random.default_rng(1)
+    planned = plan_push(BELIEF, np.zeros(3), [0.15, 0.1, 0.4], TABLE, settings, rng)
+    center = planned.predicted.mean(axis=0)
+    told, made = [], []
+    for off in (0.0, 0.008, 0.016):
+        goal = center + np.array([off, 0.0, 0.0])
+        told.append(procedure._prospects_of_push(planned.ends, SimpleNamespace(pose=goal))[0])
+        made.append(reaches(planned, goal, settings))
+        assert all(near_enough(mean, goal, settings) for mean in planned.predicted)
+    assert told == pytest.approx(made, abs=0.1)
+    assert 0.3 < min(made) < max(made) < 0.87
+
+
+def test_a_fall_on_the_way_is_no_success_and_leaves_no_margin():
+    procedure = GoalAndPushPlanner(SETTINGS, TABLE)._procedure
+    ends = PushEnds(
+        np.zeros((4, 3)), np.array([False, True, True, False]), np.array([0.03, 0.0, -0.02, 0.01]),
+        np.array([0.5, 0.2, 0.05, 0.25]),
+    )  # fmt: skip
+    told = procedure._prospects_of_push(ends, SimpleNamespace(pose=np.zeros(3)))
+    assert told == pytest.approx((0.75, 0.0))
 
 
 @pytest.mark.parametrize(

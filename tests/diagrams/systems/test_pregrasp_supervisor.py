@@ -10,7 +10,7 @@ from driven_block import DrivenBlock, seen_at
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionStatus
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
-from slipmap.diagrams.systems.supervisors import HOLD, PATIENCE, PERIOD, PregraspSupervisor
+from slipmap.diagrams.systems.supervisors import HOLD, MOST_MISSED, PATIENCE, PERIOD, PregraspSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.robots import PIN_RADIUS
 from slipmap.planners.table_push import TablePush
@@ -132,6 +132,19 @@ def test_what_the_arm_refuses_is_planned_anew_until_it_is_too_often(plan):
         mode = loop.step(execution=ExecutionStatus("refused", number, f"too far, {attempt}"))
         assert loop.read("status").reason == f"too far, {attempt}"
         assert mode == ("planning" if attempt + 1 < MOST_ATTEMPTS else "failed")
+
+
+def test_after_a_push_that_missed_the_planner_is_told_so():
+    loop = Loop()
+    loop.set(missed=())
+    loop.step()
+    for attempt in range(MOST_MISSED):
+        number = FIRST + attempt
+        assert loop.step(plan=PregraspPlan(number, push=PLANNED)) == "pushing"
+        assert loop.step(execution=ExecutionStatus("home", number)) == "recording"
+        mode = loop.step(missed=tuple(range(FIRST, number + 1)))
+        assert loop.read("status").reason.startswith("the finger touched nothing")
+        assert mode == ("planning" if attempt + 1 < MOST_MISSED else "failed")
 
 
 def test_a_plan_of_nothing_ends_the_loop_with_its_reason():
