@@ -177,7 +177,8 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     hiding = [of for hidden, of in every.items() if hidden != NOTHING]
     if len(hiding) > 1:
         every[_EVERY] = {robot: [one for of in hiding for one in of[robot]] for robot in ROBOTS}
-    answers, off, delivered, fates, held, document = [], [], [], [], {}, {}
+    answers, matter, off, delivered, fates = [], [], [], [], []
+    held, document = {}, {}
     for hidden, of in every.items():
         said = [answer(one["hidden"], one) for one in of["adapting"]]
         counts = {name: said.count(name) for name in _ANSWERS}
@@ -191,12 +192,8 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         ratio = float(np.median([pair[1] / pair[0] for pair in fell])) if fell else None
         held[hidden] = {robot: share(_count(of[robot], "held"), len(of[robot])) for robot in ROBOTS}
         pushes = {robot: mean([len(one["pushes"]) for one in of[robot]]) for robot in ROBOTS}
-        answers.append(
-            [
-                *(hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()),
-                *(str(len(needed)), found_needed.percent() if needed else "–"),
-            ]
-        )
+        answers.append([hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()])
+        matter.append([hidden, str(len(needed)), found_needed.percent() if needed else "–"])
         numbers = (error.short(1e2) for error in (before, after))
         off.append([hidden, str(len(fell)), *numbers, "–" if ratio is None else f"{ratio:.2f}"])
         numbers = (pushes[robot].short(digits=2) for robot in ROBOTS)
@@ -215,11 +212,8 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))
     return experiments.Summary(
         [
-            experiments.TableText(
-                "Effects adopted",
-                ("hidden", "trials", *_ANSWERS, "right, %", "needed", "right in time, %"),
-                answers,
-            ),
+            experiments.TableText("Effects adopted", ("hidden", "trials", *_ANSWERS, "right, %"), answers),
+            experiments.TableText("Where they are needed", ("hidden", "trials", "right in time, %"), matter),
             experiments.TableText(
                 "Error of predicted ends, median of a trial, % of the push's way; median of the ratios",
                 ("hidden", "trials", "before", "with the effect", "ratio"),
