@@ -61,9 +61,10 @@ def top_of_scale(values: FloatArray) -> float:
     return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
 
 
-def beyond(values: FloatArray, top: float) -> str:
-    """Whether a scale ending at `top` needs an arrow, as the `extend` argument of `Figure.colorbar`."""
-    return "max" if float(values.max()) > 1.02 * top else "neither"
+def beyond(values: FloatArray, top: float, low: float = 0.0) -> str:
+    """Whether a scale from `low` to `top` needs arrows, as the `extend` argument of `Figure.colorbar`."""
+    over, under = float(values.max()) > 1.02 * top, float(values.min()) < 0.98 * low
+    return "both" if over and under else "max" if over else "min" if under else "neither"
 
 
 Arguments = ParamSpec("Arguments")

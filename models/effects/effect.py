@@ -302,8 +302,8 @@ def _failing_line(error: BaseException) -> str:
 
 
 _OF_MOTION = (
-    "friction", "drag", "stretch", "force", "downhill", "blade", "inertia", "compliance", "remember",
-    "measured", "delay",
+    "friction", "drag", "stretch", "force", "downhill", "blade", "pyramid", "inertia", "compliance",
+    "remember", "measured", "delay",
 )  # fmt: skip
 """Methods that change the motion of objects, or how it is measured."""
 

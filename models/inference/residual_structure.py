@@ -147,6 +147,10 @@ def _turning(residuals: Residuals) -> Columns:
     return {"turning counter-clockwise": residuals.relative[:, 2]}
 
 
+WITH_ROTATION = "in the direction of its rotation"
+"""Component of a residual that is too much or too little rotation, in `Pattern.strongest`."""
+
+
 def _onward(residuals: Residuals) -> Columns:
     """Components along the centroid's motion and, for residual motion, in the direction of its rotation."""
     unit = residuals.at.velocity / np.maximum(residuals.at.speed, 1e-12)[:, None]
@@ -154,7 +158,7 @@ def _onward(residuals: Residuals) -> Columns:
         return {"along the motion": (unit[:, :2] * residuals.relative).sum(axis=1)}
     return {
         "along the motion": (unit[:, :2] * residuals.relative[:, :2]).sum(axis=1),
-        "in the direction of its rotation": unit[:, 2] * residuals.relative[:, 2],
+        WITH_ROTATION: unit[:, 2] * residuals.relative[:, 2],
     }
 
 

@@ -50,7 +50,9 @@ _SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, and number of steps
 _SLOW_SLIDES = np.array([0.15, 0.2, 0.25, 0.3])  # m/s of the object in the meantime
 _CREEP_DIRECTIONS = np.radians([0.0, 22.5, 45.0])
 _LAID, _CREPT = 0.25, 0.25  # s for which a loaded object settles, and is then observed
-_STEEP = 1.5  # load, as a multiple of what friction can hold, under which the object must slide
+# load, as a multiple of what friction can hold, under which the object must slide, also if friction is three
+# times Coulomb's; and for how long, s
+_STEEP, _SLID = 4.0, 0.15
 _RELEASED = 0.03  # s for which an object must keep most of the velocity that it is given
 Report = Callable[[int], None]  # called with the number of finished probes
 COUNT = 4 + len(DIRECTIONS) + len(DIRECTIONS) // 3 + 4 + 2 * len(STEADY_SPEEDS) + len(SPINS) + 3
@@ -152,13 +154,14 @@ def _tilted(along: FloatArray) -> FloatArray:
 
 def _check_gravity(subject: Subject) -> None:
     along = np.array([_STEEP * MU * GRAVITY, 0.0])
-    path = subject.lay(plain_scene(), _tilted(along)).slide(REST, _LAID)
-    moved, wanted = path[-1, 0] - path[0, 0], 0.5 * (_STEEP - 1) * MU * GRAVITY * _LAID**2
+    path = subject.lay(plain_scene(), _tilted(along)).slide(REST, _SLID)
+    moved, wanted = path[-1, 0] - path[0, 0], 0.5 * (_STEEP - 1) * MU * GRAVITY * _SLID**2
     if moved < 0.1 * wanted:
         raise BadInput(
             f"engine {subject.name}: with gravity {_tilted(along).round(2).tolist()} m/s², the object moves"
-            f" {1e3 * moved:.1f} mm in {_LAID} s instead of {1e3 * wanted:.0f} mm under Coulomb's law;"
-            " __init__ must use the gravity that it is given, tilted or not"
+            f" {1e3 * moved:.1f} mm in {_SLID} s instead of {1e3 * wanted:.0f} mm under Coulomb's law;"
+            " __init__ must use the gravity that it is given, tilted or not, and friction must be less than"
+            " three times Coulomb's"
         )
 
 
@@ -366,8 +369,9 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
         "viscous_friction" if rise > 0 else "stribeck_friction")  # fmt: skip
     same_kind = pyramid.kind == finer.pyramid.kind
     corner = 1 + pyramid.share * ((np.sqrt(2) if pyramid.kind == "square" else np.sqrt(0.5)) - 1)
+    # An elliptic grain has a fourth harmonic, too, of about the square of the grain.
     add(pyramid.kind, pyramid.share,
-        abs(pyramid.share - finer.pyramid.share) if same_kind else pyramid.share,
+        float(np.hypot(pyramid.share - finer.pyramid.share, grain**2)) if same_kind else pyramid.share,
         f"{_PYRAMIDS[pyramid.kind]}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
         f"friction_{pyramid.kind}")  # fmt: skip
     owner = "object" if full.law.of_object else "table"
@@ -395,7 +399,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     spin, unsure = _mean(full.spin), _spread(full.spin, half.spin)
     # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
     felt = abs(torsion) > max(_KINDS["torsion"][1], _SURE * torsion_unsure)
-    has_torsion = felt and (spin - 1) / torsion > 0.5 and pyramid.share < 0.05
+    has_torsion = felt and (spin - 1) / torsion > 0.5 and pyramid.share < max(0.05, 2 * grain**2)
     add("torsion", torsion if has_torsion or not felt else 0.0, torsion_unsure,
         f"A torque {'resists' if torsion > 0 else 'helps'} any spin, with {_percent(abs(torsion))} of the"
         " torque of a spin in place without it.",

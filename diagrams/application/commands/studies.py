@@ -63,7 +63,7 @@ def explore_study(
     from slipmap.diagrams.loops.exploration_run import ExplorationStopped
     from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
 
-    names = object_names or tuple(BENCHMARK_OBJECTS)
+    names = tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
     make_folder(folder)
     lock_folder(folder)
     prepare_kernels()
@@ -438,6 +438,10 @@ def campaign(
 
     from slipmap.diagrams.application.campaigns.trials import CampaignError, run_trials
 
+    if scheduler is not None and backend != "dask":
+        raise BadInput("--scheduler is for --backend dask alone; add that, or leave --scheduler out")
+    if workers is not None and backend == "dask":
+        raise BadInput("--workers is for processes on this machine; with --backend dask, the cluster decides")
     chosen = experiment_of(experiment)
     names = _checked(object_names or chosen.objects)
     files = folder / f"{experiment}-{truth}"

@@ -218,7 +218,7 @@ def _marks(
 
 def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _Row) -> None:
     norm = row.norm
-    arrow = beyond(row.values, float(norm.vmax or 0.0))
+    arrow = beyond(row.values, float(norm.vmax or 0.0), float(norm.vmin or 0.0))
     bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=arrow)
     if isinstance(norm, LogNorm):
         bar.formatter, bar.minorformatter = style.PlainNumbers(), style.PlainNumbers()

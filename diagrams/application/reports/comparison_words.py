@@ -9,7 +9,7 @@ from scipy.special import bdtrc
 from slipmap.models.inference.comparison import Comparison, JointComparison, Totals
 from slipmap.models.inference.end_region import LEVEL as LEVEL_INSIDE, beyond_in_millimetres
 from slipmap.models.inference.prediction import Prediction
-from slipmap.models.inference.residual_structure import LEVEL, Pattern
+from slipmap.models.inference.residual_structure import LEVEL, WITH_ROTATION, Pattern
 from slipmap.models.inference.sign_flips import smallest_p
 
 ROLES = {"fit": "fit", "heldout": "held out"}
@@ -264,9 +264,11 @@ def sentence_part(pattern: Pattern) -> str:
     if pattern.factor == "overall":
         more = {
             "motion": ("the object moves farther", "the object moves less far"),
+            "turning": ("the object turns farther", "the object turns less far"),
             "force": ("the force is larger", "the force is smaller"),
         }
-        return f"{more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
+        what = "turning" if WITH_ROTATION in pattern.strongest else pattern.quantity
+        return f"{more[what][pattern.size < 0]} than predicted everywhere ({size})"
     if pattern.factor in ("table_drift", "object_drift"):
         return f"{thing} is off everywhere, {_turned(pattern)} ({size})"
     return f"the error of {thing} depends on the {pattern.title} ({size})"

@@ -241,6 +241,10 @@ def test_patterns_in_words(learned):
     assert sentence_part(down) == "the force is off everywhere, towards table -y (10 %)"
     late = replace(pattern, quantity="delay", factor="delay", size=0.06)
     assert sentence_part(late) == "measured poses come 60 ms late"
+    more = replace(pattern, quantity="motion", factor="overall", strongest="along the motion", size=0.1)
+    assert sentence_part(more) == "the object moves farther than predicted everywhere (10 %)"
+    less = replace(more, strongest="in the direction of its rotation", size=-0.1)
+    assert sentence_part(less) == "the object turns less far than predicted everywhere (10 %)"
     found = finding(replace(learned[2], structure=(down, late)))
     assert found == f"The remaining error has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
 

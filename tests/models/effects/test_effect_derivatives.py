@@ -160,3 +160,9 @@ def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-u
         # A finger or its sensor does not affect an object that is not touched, nor does its apparent place.
         of_finger = effect.only_force or effect.name in ("finger_compliance", "tracker_shift")
         assert seen > 0 or (of_finger and np.isnan(push.tip).all())
+
+
+def test_effects_of_the_force_sensor_are_those_that_move_nothing() -> None:
+    """Only these are left out where no force was measured; a pyramid of friction, for example, is not."""
+    of_force = {effect.name for effect in LIBRARY if effect.only_force}
+    assert of_force == {"force_frame", "force_bias", "force_gains", "force_latency"}

@@ -85,6 +85,11 @@ def test_one_hidden_law_is_named_with_its_size(name: str, values: list[float], k
     assert set(found) <= ({"creep"} if key == "square" else set())
 
 
+def test_a_strong_grain_is_no_pyramid() -> None:
+    """An ellipse, too, varies four times around the circle."""
+    assert set(named(hiding("anisotropic_table", 0.35, 0.0))) == {"grain"}
+
+
 class Leaning(CoulombEngine):
     """Friction that leans clockwise of the line of motion."""
 
@@ -214,12 +219,20 @@ class Broken(CoulombEngine):
         ("mirror", r"after reset\(\) at x, y, θ = .* 1.0\], pose\(\) returns .* -1.0\]"),
         ("at rest", r"released at \[0.18, -0.24, 5.0\].*must use the velocity"),
         ("own step", r"__init__ sets dt = 0.001"),
-        ("level", r"moves 0.0 mm in 0.25 s.*must use the gravity that it is given"),
+        ("level", r"moves 0.0 mm in 0.15 s.*must use the gravity that it is given"),
     ],
 )
 def test_a_broken_engine_is_refused_with_what_is_wrong(fault: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         probes.ask(Subject("broken", type("Broken", (Broken,), {"fault": fault})), ignore)
+
+
+def test_strong_friction_is_no_reason_to_refuse_an_engine() -> None:
+    class Sticky(CoulombEngine):
+        def __init__(self, scene: Any, gravity: FloatArray) -> None:
+            super().__init__(dataclasses.replace(scene, mu=2.5 * scene.mu), gravity)
+
+    probes._check_gravity(Subject("sticky", Sticky))
 
 
 class Unpushed(CoulombEngine):

@@ -203,6 +203,11 @@ def test_wrong_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "did you mean hammer?" in capsys.readouterr().err
     assert run(["campaign", "fig4", "--objects", "book", "--trials", "1", "--backend", "dask", *out]) == 2
     assert "scheduler" in capsys.readouterr().err or "cluster" in capsys.readouterr().err
+    here = ["campaign", "fig4", "--objects", "book", "--trials", "1", *out]
+    assert run([*here, "--scheduler", "tcp://nowhere:1"]) == 2
+    assert "--scheduler is for --backend dask alone" in capsys.readouterr().err
+    assert run([*here, "--backend", "dask", "--scheduler", "tcp://nowhere:1", "--workers", "2"]) == 2
+    assert "--workers is for processes on this machine" in capsys.readouterr().err
 
 
 def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
