@@ -74,6 +74,6 @@ def radius_of_gyration(grid: CellGrid) -> float:
 
     A single cell turns about its own centre; its radius is that of a square of side w, w / √6.
     """
-    if len(grid) == 1:
+    if len(grid.centers) == 1:
         return float(grid.width / np.sqrt(6.0))
     return float(np.sqrt(((grid.centers - grid.centers.mean(axis=0)) ** 2).sum(axis=1).mean()))

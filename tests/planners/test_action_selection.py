@@ -37,13 +37,15 @@ def choose(seed=0, **options):
     return choose_push(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
 
 
-OFF_ITS_TABLE = {
-    "belief": a_belief(hammer()[1].mass),
-    "past": [choose(5)],
-    "settings": PokeSettings(shortest=0.25, longest=0.3),
-    "table": Table("round", tuple(POSE[:2]), radius=0.25),
-}
-"""A hammer on a table so small that every push moves it over the rim."""
+@pytest.fixture(scope="module")
+def off_its_table():
+    """A hammer on a table so small that every push moves it over the rim."""
+    return {
+        "belief": a_belief(hammer()[1].mass),
+        "past": [choose(5)],
+        "settings": PokeSettings(shortest=0.25, longest=0.3),
+        "table": Table("round", tuple(POSE[:2]), radius=0.25),
+    }
 
 
 def outline_on_table(grid, pose):
@@ -226,18 +228,18 @@ def test_a_hypothesis_by_which_the_object_had_fallen_asks_for_pushes_inwards(str
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_where_nothing_is_safe_it_says_so(strategy):
+def test_where_nothing_is_safe_it_says_so(strategy, off_its_table):
     with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
-        choose(strategy=strategy, **OFF_ITS_TABLE)
+        choose(strategy=strategy, **off_its_table)
 
 
-def test_where_nothing_is_safe_a_question_is_not_asked():
+def test_where_nothing_is_safe_a_question_is_not_asked(off_its_table):
     def told_by(pushes):
         raise AssertionError(f"asked about {len(pushes)} pushes")
 
     question = SimpleNamespace(told_by=told_by, habits=SimpleNamespace(pushes=1))
     with pytest.raises(NoReachablePush, match=r"0 of .* safe on the table"):
-        choose(question=question, **OFF_ITS_TABLE)
+        choose(question=question, **off_its_table)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
