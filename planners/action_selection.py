@@ -231,7 +231,7 @@ def _slides(states: FloatArray, grid: CellGrid) -> NDArray[np.bool_]:
 def _likely(belief: Belief) -> Belief:
     """The belief without its negligible hypotheses, which could forbid every push."""
     p = belief.probability
-    kept = np.flatnonzero(p > NEGLIGIBLE * p.max())
+    kept = np.flatnonzero(p > NEGLIGIBLE)
     if len(kept) == len(belief):
         return belief
     return replace(belief, maps=belief.maps[kept], probability=p[kept] / p[kept].sum())
