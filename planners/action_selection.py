@@ -84,7 +84,8 @@ def choose_push(
 
     Args:
         grid: the object.
-        pose: (3,) of the object, world, m and rad.
+        pose: (3,) of the object as the tracker reports it, world, m and rad; the push is made where the
+            object is expected to be (`Belief.true_pose`).
         finger_radius: m.
         strategy: one of `STRATEGIES`.
         belief: hypotheses that `most-distinctive` compares.
@@ -105,7 +106,10 @@ def choose_push(
     if strategy not in STRATEGIES:
         raise ValueError(f"unknown strategy {strategy!r}; choose one of {', '.join(STRATEGIES)}")
     habits = settings or PokeSettings()
-    belief = None if belief is None else _likely(belief)
+    reported = pose
+    if belief is not None:
+        belief = _likely(belief)
+        pose, belief = belief.true_pose(reported), belief.in_world()
     contacts = candidate_pushes(
         grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
@@ -121,7 +125,8 @@ def choose_push(
     if not choices:
         worth = np.zeros(0)
     elif question is not None:
-        worth = question.told_by([_imagined(choice.push, pose, question.habits.pushes) for choice in choices])
+        order = question.habits.pushes
+        worth = question.told_by([_imagined(choice.push, reported, order) for choice in choices])
     elif strategy == "most-different" and past:
         worth = _differences(choices, past, grid)
     elif strategy == "most-distinctive" and belief is not None and past:

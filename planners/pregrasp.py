@@ -158,7 +158,7 @@ class Pregrasp:
     belief: Belief  # identified, with all hypotheses
     goals: tuple[Goal, ...] = ()  # that were available
     goal: Goal | None = None  # the last one aimed at, if any
-    pose: FloatArray | None = None  # (3,) last seen, world, if any
+    pose: FloatArray | None = None  # (3,) last seen, as the tracker reports it, world, if any
     grasp: Grasp | None = None  # the best at this pose; None without success
     pushes: tuple[MadePush, ...] = ()  # towards the goal
 
@@ -217,6 +217,6 @@ def bring_to_edge(
         goals=tuple(goals),
         goal=ended.goal,
         pose=ended.pose,
-        grasp=thing.grasps_at(ended.pose, world.table)[0] if ended.reached else None,
+        grasp=thing.grasps_at(known.true_pose(ended.pose), world.table)[0] if ended.reached else None,
         pushes=ended.pushes,
     )

@@ -109,8 +109,9 @@ def decide(
 
     Args:
         belief: hypotheses, one or many.
-        pose: (3,) of the object now, world.
-        goals: acceptable goals.
+        pose: (3,) of the object now as the tracker reports it, world; the decision and `good` are about the
+            true pose that the belief expects for it (`Belief.true_pose`).
+        goals: acceptable goals, true poses.
         pursuit: history of pushing.
         table: its top.
         settings: of the procedure.
@@ -121,6 +122,7 @@ def decide(
     Raises:
         ValueError: there is no goal.
     """
+    pose, belief = belief.true_pose(pose), belief.in_world()
     way, count = pursuit.way, len(pursuit.served)
     at = _goal_at(pose, goals, way, settings.push)
     if at is not None and good(pose):
@@ -162,7 +164,8 @@ def next_push(
     """The next push towards a goal, and the `Way` that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
-        belief, pose, goals, table, settings, rng, allowed: as for `decide`.
+        belief, goals, table, settings, rng, allowed: as for `decide`.
+        pose: (3,) true pose of the object, world.
         way: followed so far; None at first.
         left_out: indices of goals that were given up.
 
@@ -297,7 +300,7 @@ class World(Protocol):
 class MadePush:
     """A push towards a goal, and its recording."""
 
-    before: FloatArray  # (3,) pose seen before it, world
+    before: FloatArray  # (3,) pose seen before it, as the tracker reports it, world
     goal: Goal  # that it served
     planned: PlannedPush  # push and prediction
     trial: Trial  # its recording

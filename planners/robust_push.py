@@ -356,8 +356,8 @@ def plan_push(
 
     Args:
         belief: hypotheses, one or many.
-        pose: (3,) of the object, world, m and rad.
-        targets: (3,) or (G, 3) poses, any of which is acceptable.
+        pose: (3,) of the object as the tracker reports it, world, m and rad.
+        targets: (3,) or (G, 3) true poses, any of which is acceptable; the predicted poses are true ones too.
         table: that it must not fall from.
         settings: of pushes.
         rng: source of every draw.
@@ -369,7 +369,7 @@ def plan_push(
         NoReachablePush: the finger reaches the object nowhere, or no candidate is allowed.
         ValueError: no target, or an argument of another shape or that is not finite; names it.
     """
-    pose = _finite("pose", pose, (3,))
+    pose, belief = belief.true_pose(_finite("pose", pose, (3,))), belief.in_world()
     goals = np.atleast_2d(np.asarray(targets, dtype=float))
     if not goals.size or goals.ndim != 2 or goals.shape[1] != 3:
         raise ValueError(f"plan_push: targets must be of shape (3,) or (G, 3), got {np.shape(targets)}")

@@ -222,10 +222,11 @@ class PregraspRun:
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         trials = self.exploration.dataset.trials[self.explorations :]
+        true_pose = self.exploration.identification.belief.true_pose
         rows = []
         for plan, trial in zip(self.pushes, trials, strict=False):
             assert plan.push is not None and plan.goal is not None
-            before, after = trial.object_pose.values[0], trial.object_pose.values[-1]
+            before, after = (true_pose(trial.object_pose.values[row]) for row in (0, -1))
             rows.append(
                 {
                     "begin": plain(plan.push.push.begin),

@@ -31,7 +31,7 @@ off by a third of that."""
 
 FAILED, TRIED, CLOSE = "failed", "tried", "close"
 """Verdicts in addition to those of a diagnosis: it raised an error; effects were tried on the next pushes;
-they were, and did worse, but not by far."""
+they were, but did worse, though not by far, or made no difference."""
 
 _OPEN = ("undecided", "unknown", FAILED, CLOSE)
 """Verdicts that speak neither for nor against effects that are on trial."""
@@ -134,10 +134,10 @@ class Diagnosis(PythonSystem):
 
     Adopted effects are tested on the next pushes. If a model with them predicts these no better, along the
     way and at the end, than one without, both learned from all pushes before each, the effects are dropped;
-    after a first close call, only if these and as many pushes again say so. If these pushes surprise, all are
-    diagnosed again, and an effect that is no longer named is dropped, unless the new verdict is undecided or
-    unknown and the test is still to come or was passed. An exception raised by a diagnosis becomes its
-    finding, and the robot continues with its present model.
+    after a first close call, or if they make no difference, these and as many pushes again decide. If these
+    pushes surprise, all are diagnosed again, and an effect that is no longer named is dropped, unless the new
+    verdict is undecided or unknown and the test is still to come or was passed. An exception raised by a
+    diagnosis becomes its finding, and the robot continues with its present model.
 
     Args:
         make_dataset: combines trials and grid into a dataset with everything known about the setup.
@@ -278,11 +278,13 @@ class Diagnosis(PythonSystem):
         said = f"With {names}, {pushes} {own:.1f} mm off on average; without, {other:.1f} mm."
         effects, action = repair.effects, "keeps"
         verdict, wanted = TRIED, repair.wanted
+        assert repair.tried is not None
+        first = repair.tested_at == repair.tried.pushes
         if not telling:
-            said += " That decides nothing."
+            said += f" That decides nothing{', so the test goes on' * first}."
+            verdict = CLOSE if first else TRIED
         elif own >= other:
-            assert repair.tried is not None
-            if own < _FAR * other and repair.tested_at == repair.tried.pushes:
+            if own < _FAR * other and first:
                 said += " That is close, so the test goes on."
                 verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
             else:

@@ -12,6 +12,7 @@ from slipmap.diagrams.execution.clearance import Obstacle
 from slipmap.diagrams.systems.loop_messages import CHOOSING, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
+from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.settings import check_choice
@@ -105,6 +106,8 @@ class Exploration(PythonSystem):
             if status.mode == "telling apart":
                 question = self.input(context, "repair").question
             seen: SeenObject = self.input(context, "seen_object")
+            belief: Belief | None = self.input(context, "belief")
+            place = pose.pose if belief is None else belief.true_pose(pose.pose)
             job = begun(
                 self._worker,
                 _selected,
@@ -112,13 +115,13 @@ class Exploration(PythonSystem):
                 pose.pose,
                 self._finger_radius,
                 strategy=strategy,
-                belief=self.input(context, "belief"),
+                belief=belief,
                 past=past,
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,
                 question=question,
                 table=self._table,
-                allowed=partial(self._allowed, Obstacle(seen.grid, seen.cell_heights, pose.pose)),
+                allowed=partial(self._allowed, Obstacle(seen.grid, seen.cell_heights, place)),
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )
         if not job.done():

@@ -132,6 +132,7 @@ class _Procedure:
                 f" {1 - goals.epsilon:.0%}, in view of the camera and where the arm can grasp it"
             )
             return replace(now, plan=PregraspPlan(number, reason=reason))
+        pose, known = now.known.true_pose(pose), now.known.in_world()
         obstacle = Obstacle(seen.grid, seen.cell_heights, pose)
         grasps: list[ActiveGrasp] = []
 
@@ -140,13 +141,13 @@ class _Procedure:
             return bool(grasps)
 
         decision = decide(
-            now.known, pose, now.goals, now.pursuit, self.table, self.settings, rng,
+            known, pose, now.goals, now.pursuit, self.table, self.settings, rng,
             allowed=partial(self.can_push, obstacle), good=can_be_grasped,
         )  # fmt: skip
         goal = None if decision.way is None else now.goals[decision.way.goal]
         plan = PregraspPlan(number, goal, reason=decision.reason)
         if decision.reached:
-            success, margin = self._prospects_of_grasp(now.known, pose)
+            success, margin = self._prospects_of_grasp(known, pose)
             plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
         elif decision.planned is not None and goal is not None:
             success, margin = self._prospects_of_push(decision.planned.ends, goal)
@@ -193,8 +194,9 @@ class GoalAndPushPlanner(PythonSystem):
     - `plan`: `PregraspPlan | None`; it stays until the loop asks for another.
 
     Goals are sampled for the first plan. When the belief changes, those stay that are goals by the new one,
-    or all are sampled again if none is. Without a worker, the simulation waits while the block computes. The
-    random draws for a plan depend only on the seed and its number.
+    or all are sampled again if none is. Goals, predicted poses and the grasp's pose are true ones, which
+    differ from `object_pose` where the belief has effects of the tracker. Without a worker, the simulation
+    waits while the block computes. The random draws for a plan depend only on the seed and its number.
 
     Args:
         method: one of `slipmap.planners.settings.METHODS`.

@@ -73,6 +73,7 @@ class Belief:
         versions: of slipmap and of its numerical libraries.
         effects: effects in the model; the maps carry their parameters.
         table: the table on which the object was pushed, where known.
+        true_poses: whether its model starts and ends with true poses, see `in_world`; files do not keep it.
 
     Example:
         >>> import tempfile
@@ -100,6 +101,7 @@ class Belief:
     versions: dict[str, str] = field(default_factory=lambda: library_versions())
     effects: tuple[Effect, ...] = ()
     table: Table | None = None
+    true_poses: bool = False
 
     def __repr__(self) -> str:
         effects = f", effects {', '.join(effect.name for effect in self.effects)}" if self.effects else ""
@@ -183,12 +185,28 @@ class Belief:
     def slider(self) -> Slider:
         """The model that the maps belong to, with its effects, on its table."""
         return Slider(
-            self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table
+            self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table,
+            self.true_poses,
         )  # fmt: skip
 
     def on(self, table: Table | None) -> Belief:
         """The same hypotheses for pushes on another table; None is a table whose rim is not known."""
         return self if table == self.table else replace(self, table=table)
+
+    def in_world(self) -> Belief:
+        """The same hypotheses about true poses, for planning: a table's rim is where it is, whatever the
+        tracker reports."""
+        return self if self.true_poses else replace(self, true_poses=True)
+
+    def true_pose(self, reported: FloatArray) -> FloatArray:
+        """(3,) expected true pose of an object at rest that the tracker reports at a pose (3,), world.
+
+        The same pose, unless the model has effects of the tracker.
+        """
+        if self.true_poses or not self.effects:
+            return reported
+        by_hypothesis = self.slider.true_start_poses(self.maps, reported[None])[:, 0]
+        return np.asarray(reported + self.probability @ (by_hypothesis - reported))
 
     def same_as(self, other: Belief | None) -> bool:
         """Whether another belief about the same object has the same hypotheses and effects, as a copy has."""

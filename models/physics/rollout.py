@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -122,6 +122,7 @@ class Slider:
         effects: in the order of the columns of `Maps.effects`; those of the library may be given by name.
         table: the table top. Cells beyond its rim carry no load and the others carry all of it, see
             `support.py`. Without a table every cell is supported everywhere.
+        true_poses: whether start poses and resulting poses are true ones, whatever the tracker reports.
 
     Attributes:
         program: compiled formulas of the effects, None if there are none.
@@ -150,6 +151,7 @@ class Slider:
         smoothing: Smoothing | None = None,
         effects: Sequence[Effect | str] = (),
         table: Table | None = None,
+        true_poses: bool = False,
     ) -> None:
         check_finger_radius("finger radius", finger_radius)
         if not (np.isfinite(gravity) and gravity > 0):
@@ -165,6 +167,9 @@ class Slider:
         self._common = tuple(common)
         self.effects = effects_given(effects)
         self.program = program_of(self.effects) if self.effects else None
+        self.true_poses = true_poses
+        if true_poses and self.program is not None:
+            self.program = replace(self.program, measured=None, delay=None)
         self.table = table
         self._top = None if table is None else _top_of(table)
 
@@ -172,13 +177,23 @@ class Slider:
         """Pickle without the machine code, whose addresses mean nothing in another process."""
         return Slider, (
             self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table,
+            self.true_poses,
         )  # fmt: skip
 
     def on(self, table: Table | None) -> Slider:
         """The same model on another table, or on a floor without a rim."""
         if table == self.table:
             return self
-        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, table)
+        return Slider(
+            self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, table, self.true_poses
+        )
+
+    def true_start_poses(self, maps: Maps, poses: FloatArray) -> FloatArray:
+        """(K, B, 3) true poses of an object that the tracker reports, at rest, at poses (B, 3), world."""
+        reported = np.repeat(np.asarray(poses, dtype=float)[None], len(maps), axis=0)
+        if self.program is None:
+            return reported
+        return Sensors.of(self.program, self._effect_values(maps)).true_starts(reported).poses
 
     @property
     def columns(self) -> int:
