@@ -366,7 +366,7 @@ def plan_push(
         costs: (G,) added to the expected number of pushes to each target.
 
     Raises:
-        NoReachablePush: the finger reaches the object nowhere, or no candidate is allowed.
+        NoReachablePush: the finger reaches the object nowhere, no candidate is allowed, or none is predicted.
         ValueError: no target, or an argument of another shape or that is not finite; names it.
     """
     pose, belief = belief.true_pose(_finite("pose", pose, (3,))), belief.in_world()
@@ -384,6 +384,8 @@ def plan_push(
     aligned = contour.nearest_to_axis(expected_center, ways_of_center(expected_center, relative(pose, goals)))
     lines = contour.spread(aligned[: settings.candidates // 2], settings.candidates, cone, rng)
     seen = [foresee(scenarios, pose, lines, table, settings)]
+    if not np.isfinite(seen[0].moves).all(axis=(2, 3)).any():
+        raise NoReachablePush(f"planning: the model can predict none of {len(lines)} lines of push")
     ahead = Lookahead(seen[0], metric, settings, rng)
 
     pushes = ahead.after(pose, goals, pairs=True)

@@ -203,14 +203,15 @@ class Diagnosis(PythonSystem):
             if task is None:
                 return replace(repair, trials=len(trials)), None
             grid = self.input(context, "cell_grid")
-            job = (len(trials), begun(self._worker, task, self._make_dataset, trials, grid, *rest))
-        count, result = job
+            begins = begun(self._worker, task, self._make_dataset, trials, grid, *rest)
+            job = (len(trials), begins, "diagnosis" if task is _diagnosed else "test of the effects")
+        count, result, what = job
         if not result.done():
             return repair, job
         try:
             answer = result.result()
         except Exception as error:  # whatever it is, the robot can go on with the model that it has
-            sentence = f"The diagnosis failed: {error or type(error).__name__}."
+            sentence = f"The {what} failed: {error or type(error).__name__}."
             return self._concluded(repair, count, _Answer(FAILED, sentence)), None
         if isinstance(answer, _Answer):
             return self._concluded(repair, count, answer), None

@@ -13,6 +13,7 @@ from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push
+from slipmap.models.physics.rollout import RolloutError, Slider
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.push_decisions import goal_costs
@@ -112,6 +113,15 @@ def test_the_nearest_of_many_targets_is_served_unless_it_costs_more():
     assert plan(targets).target == 1
     assert plan(targets).pushes < 1.5
     assert plan(targets, costs=np.array([0.0, 50.0, 0.0])).target != 1
+
+
+def test_pushes_that_the_model_cannot_predict_are_not_planned(monkeypatch):
+    def unsolved(*arguments, **options):
+        raise RolloutError("model 0, push 0: a step did not converge")
+
+    monkeypatch.setattr(Slider, "rollout", unsolved)
+    with pytest.raises(NoReachablePush, match=r"the model can predict none of \d+ lines of push"):
+        plan(START + np.array([0.1, 0.0, 0.0]))
 
 
 def test_only_allowed_pushes_are_planned():

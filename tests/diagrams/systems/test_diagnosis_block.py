@@ -299,6 +299,19 @@ def test_a_diagnosis_that_fails_is_told_and_the_robot_goes_on(monkeypatch, effec
     assert robot.push(count + 1, alarm=True).effects == ("tether",)  # the next alarm is looked into again
 
 
+def test_a_test_that_fails_is_told_as_such_and_made_again(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)))
+    robot.push(5, alarm=True)
+    robot.push(6)
+    predicts = diagnosis.predict
+    monkeypatch.setattr(diagnosis, "predict", lambda *arguments: 1 / 0)
+    repair = robot.push(7)
+    assert (repair.findings[-1].verdict, repair.effects) == ("failed", ("tether",))
+    assert repair.findings[-1].sentence == "The test of the effects failed: division by zero."
+    monkeypatch.setattr(diagnosis, "predict", predicts)
+    assert robot.push(8).findings[-1].verdict == "tried"
+
+
 @pytest.mark.parametrize(
     ("errors", "without", "action", "said"),
     [
