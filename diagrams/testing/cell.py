@@ -69,8 +69,8 @@ class Faults:
         closed fails the test.
 
         Args:
-            doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; in a pre-grasp also `planning`,
-                `grasping`, `lifting`, `holding`.
+            doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; with adapt also `diagnosing` and
+                `telling apart`, in a pre-grasp `planning`, `grasping`, `lifting`, `holding`.
             fault: to inject.
             push: number of the push during which it starts, from 1; towards the edge, numbering restarts.
 

@@ -1,11 +1,12 @@
 """Measures the gaps between commands to the arm while an identification runs: no test, takes a minute or two.
 
-    python tests/hardware/measure_command_gaps.py [--seconds 10] [--inside]
+    python tests/hardware/measure_command_gaps.py [--seconds 10] [--inside | --diagnosis]
 
 The diagram has a `HardwareInterface`, before a twin in another process, and an `Identification` that learns
-again and again. With --inside the diagram itself learns, which then stands still; else a worker does. Gaps
-are those of the stamps that the commands bear, the sender's clock when it sent them. They are read from the
-socket itself, since LCM drops messages where the reader is late.
+again and again, or with --diagnosis a `Diagnosis` that looks for a missing effect. With --inside the diagram
+itself learns, which then stands still; else a worker does. Gaps are those of the stamps that the commands
+bear, the sender's clock when it sent them. They are read from the socket itself, since LCM drops messages
+where the reader is late.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from drake import lcmt_iiwa_command
@@ -33,8 +35,13 @@ from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import ARM_PERIOD, IIWA_COMMAND
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.diagnosis import Diagnosis
 from slipmap.diagrams.systems.identification import Identification
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.systems.workers import workers
+from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.planners.settings import RepairSettings
 
 GROUP, PORT = "239.255.76.67", 7790
 URL = f"udpm://{GROUP}:{PORT}?ttl=0"
@@ -64,22 +71,34 @@ class Ear:
                 self.stamps.append(1e-6 * command.utime)
 
 
-def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
+@dataclass(frozen=True)
+class Given:
+    """A `make_dataset` that a worker can receive."""
+
+    dataset: PushDataset
+
+    def __call__(self, trials: Sequence[Trial], grid: CellGrid) -> PushDataset:
+        return replace(self.dataset, trials=tuple(trials))
+
+
+def measured(seconds: float, inside: bool, diagnosis: bool) -> tuple[np.ndarray, float, int]:
     """Stamps of commands, s; the longest standstill of the diagram, s; how often it learned."""
     ear = Ear()
     dataset, _ = simulated_hammer(fit=12, heldout=0)
     trials = dataset.fit_trials
-    learned: list[float] = []
     with nullcontext(None) if inside else workers() as worker:
         builder = DiagramBuilder()
         cell = builder.AddSystem(HardwareInterface(URL, Scenario()))
-        learning = builder.AddSystem(
-            Identification(
-                lambda some, grid: replace(dataset, trials=tuple(some)),
-                hypotheses=100, friction_laws=False, worker=worker,
-                learned=lambda belief, count: learned.append(time.monotonic()),
+        if diagnosis:
+            # Pushes that surprise are diagnosed, each time all of them.
+            learning = builder.AddSystem(
+                Diagnosis(Given(dataset), RepairSettings(), pushes=12, worker=worker)
             )
-        )  # fmt: skip
+            builder.ExportInput(learning.GetInputPort("watch"), "watch")
+        else:
+            learning = builder.AddSystem(
+                Identification(Given(dataset), hypotheses=100, friction_laws=False, worker=worker)
+            )
         for port, value in (
             ("iiwa.position", HOME),
             ("gripper.position", [0.0]),
@@ -90,12 +109,24 @@ def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
         grid = builder.AddSystem(ConstantValueSource(Value[object](dataset.grid)))
         builder.Connect(grid.get_output_port(), learning.GetInputPort("cell_grid"))
         builder.ExportInput(learning.GetInputPort("trials"), "trials")
+        builder.ExportOutput(learning.GetOutputPort("repair" if diagnosis else "learned"), "learned")
         diagram = builder.Build()
         simulator = Simulator(diagram)
         simulator.set_target_realtime_rate(1.0)
         context = simulator.get_mutable_context()
-        port = diagram.GetInputPort("trials")
-        port.FixValue(context, Value[object](()))
+
+        def give(count: int) -> None:
+            diagram.GetInputPort("trials").FixValue(context, Value[object](trials[:count]))
+            if diagnosis:
+                surprise = Judged(count - 1, 9.0, 0.0, 100.0, True, 0.02, 0.005, True)
+                watch = Watch(count, np.zeros(3), (surprise,))
+                diagram.GetInputPort("watch").FixValue(context, Value[object](watch))
+
+        def learned() -> int:
+            done = diagram.GetOutputPort("learned").Eval(context)
+            return done.trials if diagnosis else done
+
+        give(0)
         cell.connect(context)
         ear.stamps.clear()
         standstill, last = 0.0, time.monotonic()
@@ -108,33 +139,38 @@ def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
         simulator.set_monitor(watch)
         simulator.AdvanceTo(0.2)
         begin = time.monotonic()
-        for count in range(1, len(trials) + 1):
+        times = 0
+        for count in range(RepairSettings().fewest if diagnosis else 1, len(trials) + 1):
             if time.monotonic() - begin > seconds:
                 break
-            port.FixValue(context, Value[object](trials[:count]))
-            while len(learned) < count:
+            give(count)
+            while learned() < count:
                 simulator.AdvanceTo(context.get_time() + 0.1)
+            times += 1
         cell.close()
-    return np.array(ear.stamps), standstill, len(learned)
+    return np.array(ear.stamps), standstill, times
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--seconds", type=float, default=10.0)
-    arguments.add_argument("--inside", action="store_true")
+    how = arguments.add_mutually_exclusive_group()
+    how.add_argument("--inside", action="store_true")
+    how.add_argument("--diagnosis", action="store_true")
     chosen = arguments.parse_args()
     twin = subprocess.Popen([sys.executable, "-m", "slipmap", "station", "--lcm", URL])
     try:
         time.sleep(5.0)
-        stamps, standstill, count = measured(chosen.seconds, chosen.inside)
+        stamps, standstill, count = measured(chosen.seconds, chosen.inside, chosen.diagnosis)
     finally:
         twin.send_signal(signal.SIGINT)
         twin.wait()
     gaps = 1e3 * np.diff(stamps)
     quantiles = ", ".join(f"{100 * q:g} %: {np.quantile(gaps, q):.2f} ms" for q in (0.5, 0.99, 0.999))
+    did = "diagnosed" if chosen.diagnosis else "learned"
     print(
         f"{len(gaps)} gaps over {stamps[-1] - stamps[0]:.1f} s, asked {1e3 * ARM_PERIOD:g} ms; {quantiles};"
-        f" largest {gaps.max():.2f} ms. Meanwhile it learned {count} times, and the diagram stood still for"
+        f" largest {gaps.max():.2f} ms. Meanwhile it {did} {count} times, and the diagram stood still for"
         f" {1e3 * standstill:.0f} ms at most."
     )
 

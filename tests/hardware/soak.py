@@ -1,11 +1,13 @@
 """A soak: the robot explores for a long time in a cell where things go wrong.
 
     python tests/hardware/soak.py --minutes 60 --seed 0 -o soak
+    python tests/hardware/soak.py --minutes 60 --seed 0 --adapt -o soak
 
 The cell is the twin in lockstep (`slipmap.diagrams.testing.twins`), behind all messages and checks, with
 the guard's own limits: minutes are those of the simulation. Each session is a process that explores until it
 is done, a fault stops it, or it is killed; the next one goes on with its folder, where arm, gripper and
-object were left. At the end, what must not be is counted: pushes lost, limits exceeded, memory that grows.
+object were left. With `--adapt` the table is secretly tilted and the robot repairs its model. At the end,
+what must not be is counted: pushes lost, limits exceeded, memory that grows.
 """
 
 from __future__ import annotations
@@ -66,6 +68,7 @@ STOPS = 0.2
 """Share of the latter."""
 
 _STAGES = ("looking", "pushing", "recording")
+_STOPPED_IN = ("pushing", "diagnosing")  # with `--adapt`; else only the first
 
 
 @dataclass
@@ -78,6 +81,8 @@ class Account:
         faults: how often each happened.
         pushes: recorded.
         lost: pushes that were recorded and are not on the disk, or not as they were.
+        explorations: that ended with all their pushes; with `adapt`, `tilted` of them with the tilt in the
+            model, and `wrong` with another effect.
         growth: MB by which a session grew while it only judged pushes, at most; and in how many minutes.
         joint_speed, tip_speed: largest of all commands, as shares of the limit.
         commands: how many there were.
@@ -88,6 +93,9 @@ class Account:
     faults: Counter[str] = field(default_factory=Counter)
     pushes: int = 0
     lost: int = 0
+    explorations: int = 0
+    tilted: int = 0
+    wrong: int = 0
     growth: tuple[float, float] = (0.0, 0.0)
     joint_speed: float = 0.0
     tip_speed: float = 0.0
@@ -98,7 +106,9 @@ class Account:
         return {**vars(self), "faults": dict(self.faults)}
 
 
-def drawn_faults(rng: np.random.Generator, first: int, last: int) -> list[tuple[str, int, Fault | None]]:
+def drawn_faults(
+    rng: np.random.Generator, first: int, last: int, *, adapt: bool = False
+) -> list[tuple[str, int, Fault | None]]:
     """What goes wrong in pushes `first` to `last`, from 1; nothing after what stops a run."""
     plan: list[tuple[str, int, Fault | None]] = []
     for push in range(first, last + 1):
@@ -107,7 +117,8 @@ def drawn_faults(rng: np.random.Generator, first: int, last: int) -> list[tuple[
         stops = rng.random() < STOPS
         menu: tuple[Fault | None, ...] = STOPPING if stops else PASSING
         fault = menu[rng.integers(len(menu))]
-        stage = _STAGES[rng.integers(len(_STAGES))] if not stops else "pushing"
+        stages = _STAGES if not stops else _STOPPED_IN if adapt and fault is not None else ("pushing",)
+        stage = stages[rng.integers(len(stages))]
         if fault is not None:
             fault = Fault(**{**vars(fault), "after": float(rng.uniform(0.0, 4.0))})
         plan.append((stage, push, fault))
@@ -116,25 +127,26 @@ def drawn_faults(rng: np.random.Generator, first: int, last: int) -> list[tuple[
     return plan
 
 
-def soak(minutes: float, seed: int, folder: Path) -> Account:
+def soak(minutes: float, seed: int, folder: Path, *, adapt: bool = False) -> Account:
     """Run sessions until so many minutes were simulated.
 
     Args:
         minutes: of simulated time.
         seed: of objects, pushes, faults and when they happen.
         folder: where all explorations are left, and `soak.json` after each session.
+        adapt: whether the table is tilted and the robot repairs its model.
     """
     rng = np.random.default_rng(seed)
     account, number, kept = Account(), 0, dict[str, str]()
     while account.minutes < minutes:
         place = folder / f"{number:03d}"
         make_folder(place)
-        task = Task(OBJECTS[number % len(OBJECTS)], PUSHES, CHECKS, int(rng.integers(2**31)))
-        task.faults = drawn_faults(rng, len(kept) + 1, PUSHES + CHECKS)
+        task = Task(OBJECTS[number % len(OBJECTS)], PUSHES, CHECKS, int(rng.integers(2**31)), adapt)
+        task.faults = drawn_faults(rng, len(kept) + 1, PUSHES + CHECKS, adapt=adapt)
         said = _session(place, task)
         kept = checked(account, place, said, kept)
         _counted(account, place, said)
-        write_json(folder / "soak.json", {"seed": seed, **account.to_json()})
+        write_json(folder / "soak.json", {"seed": seed, "adapt": adapt, **account.to_json()})
         end = account.sessions[-1]
         note(f"{account.minutes:.1f} min, {account.pushes} pushes, exploration {number}: {end or 'done'}")
         if not end or not _goes_on(end) or not kept:
@@ -179,6 +191,10 @@ def _counted(account: Account, folder: Path, said: list[dict[str, Any]]) -> None
     account.faults.update(last["faults"])
     if last["end"] == "killed":
         account.faults["killed"] += 1
+    if not last["end"]:
+        account.explorations += 1
+        account.tilted += "table_tilt" in last["effects"]
+        account.wrong += bool(set(last["effects"]) - {"table_tilt"})
     # Learning from more pushes takes more memory, also from those that a session took over; what grows after
     # that is not given back.
     held = [
@@ -209,10 +225,11 @@ def _goes_on(end: str) -> bool:
 @click.option(
     "-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("soak"), metavar="DIR"
 )
-def main(minutes: float, seed: int, folder: Path) -> None:
+@click.option("--adapt", is_flag=True, help="Tilt the table secretly, and let the robot repair its model.")
+def main(minutes: float, seed: int, folder: Path, adapt: bool) -> None:
     """Explore for N simulated minutes in a cell where things go wrong, and count what must not happen."""
     make_folder(folder)
-    account = soak(minutes, seed, folder)
+    account = soak(minutes, seed, folder, adapt=adapt)
     table("Faults", ["what", "times"], [[k, str(n)] for k, n in sorted(account.faults.items())], numbers=(1,))
     table(
         "Ends",
@@ -220,12 +237,18 @@ def main(minutes: float, seed: int, folder: Path) -> None:
         [[k or "done", str(n)] for k, n in Counter(account.sessions).items()],
         numbers=(1,),
     )
+    growth = (
+        f"{account.explorations} explorations ended with all pushes, {account.tilted} of them with the tilt"
+        f" in the model and {account.wrong} with another effect."
+        if adapt
+        else f"While it only judged pushes a session grew by at most {account.growth[0]:.0f} MB, in"
+        f" {account.growth[1]:.1f} min."
+    )
     paragraph(
         f"{account.minutes:.1f} simulated minutes, {len(account.sessions)} sessions, {account.pushes} pushes"
         f" recorded, {account.lost} lost. Of {account.commands} commands the fastest asked a joint for"
         f" {100 * account.joint_speed:.0f} % of its largest speed, the finger for"
-        f" {100 * account.tip_speed:.0f} %. While it only judged pushes a session grew by at most"
-        f" {account.growth[0]:.0f} MB, in {account.growth[1]:.1f} min."
+        f" {100 * account.tip_speed:.0f} %. {growth}"
     )
     bad = account.lost or max(account.joint_speed, account.tip_speed) > 1.001
     sys.exit(1 if bad else 0)

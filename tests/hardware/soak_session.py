@@ -22,6 +22,8 @@ from slipmap.diagrams.testing.faults import Fault
 
 PLANT, COMMANDS = "plant.npy", "commands.npy"
 
+DOWNHILL = 0.3, -0.15  # m/s², a tilt of 2°
+
 _PAGE = resource.getpagesize() / 1e6  # MB
 _KILLED = "killed"
 
@@ -33,6 +35,7 @@ class Task:
     Attributes:
         object_name: of the benchmark.
         pushes, checks, seed: of the exploration.
+        adapt: whether the table is secretly tilted and the robot repairs its model; every push teaches then.
         faults: what goes wrong when, as (stage, push from 1, fault); a fault of None kills the process.
     """
 
@@ -40,6 +43,7 @@ class Task:
     pushes: int
     checks: int
     seed: int
+    adapt: bool = False
     faults: list[tuple[str, int, Fault | None]] = field(default_factory=list)
 
     def to_json(self) -> str:
@@ -67,15 +71,19 @@ def main(folder: Path, task: Task) -> None:
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import DOING, ExplorationFailed, explore
     from slipmap.diagrams.loops.run_folder import RUN, ExplorationFolder, resumed
+    from slipmap.diagrams.station.hidden_effects import TableTilt
     from slipmap.diagrams.testing.cell import LOCKSTEP, Faults, small_scenario
     from slipmap.diagrams.testing.twins import LockstepCell
 
     # Few and large cells: what is soaked is the cell and what drives it, not how well it learns.
     options = LoopOptions(
-        pushes=task.pushes, checks=task.checks, strategy="random", cells=30, hypotheses=8, seed=task.seed
-    )
+        pushes=task.pushes + task.checks * task.adapt, checks=task.checks * (not task.adapt),
+        strategy="random", cells=30, hypotheses=8, seed=task.seed, adapt=task.adapt,
+    )  # fmt: skip
     scenario, before = small_scenario(LOCKSTEP), None
     scenario.object.name = task.object_name
+    if task.adapt:
+        scenario.hidden.table_tilt = TableTilt(*DOWNHILL)
     if (folder / RUN).exists():
         scenario, options, before = resumed(folder)
     plant = folder / PLANT
@@ -109,11 +117,20 @@ def main(folder: Path, task: Task) -> None:
     try:
         run = explore(scenario, options, hardware=cell, progress=watch, record=record, before=before)
         record.end()
-        end, recorded = "", len(run.dataset.trials)
+        end = ""
     except ExplorationFailed as failure:
-        end, recorded = str(failure), 0 if failure.run is None else len(failure.run.dataset.trials)
+        end, run = str(failure), failure.run
+    recorded = 0 if run is None else len(run.dataset.trials)
+    repair = None if run is None else run.repair
+    effects = [] if repair is None else list(repair.effects)
     leave()
-    tell(end=end, recorded=recorded, faults=[str(fault) for fault in faults.happened], time=cell.now)
+    tell(
+        end=end,
+        recorded=recorded,
+        effects=effects,
+        faults=[str(fault) for fault in faults.happened],
+        time=cell.now,
+    )
 
 
 def tell(**said: Any) -> None:

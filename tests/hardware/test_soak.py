@@ -23,8 +23,15 @@ def test_faults_are_drawn_by_the_seed_and_none_comes_after_one_that_stops():
     assert drawn == stopping | {str(fault) for fault in PASSING}
 
 
+def test_a_robot_that_repairs_its_model_is_stopped_while_it_diagnoses_too():
+    plans = [drawn_faults(np.random.default_rng(seed), 3, 12, adapt=True) for seed in range(50)]
+    stopping = {str(fault) for fault in STOPPING}
+    stages = {(stage, fault is None) for plan in plans for stage, _, fault in plan if str(fault) in stopping}
+    assert stages == {("pushing", False), ("diagnosing", False), ("pushing", True)}
+
+
 def test_a_task_reaches_the_session_as_it_was():
-    task = Task("hammer", 3, 9, 5, drawn_faults(np.random.default_rng(1), 1, 12))
+    task = Task("hammer", 3, 9, 5, True, drawn_faults(np.random.default_rng(1), 1, 12))
     assert task.faults and Task.of(task.to_json()) == task
 
 
