@@ -20,6 +20,7 @@ from slipmap.diagrams.hardware.guard import CommandGuard
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.perception.cell_perception import FRAMES, CellPerception
 from slipmap.diagrams.station.arm import HOME, arm_model
+from slipmap.diagrams.station.placement import check_rest
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError, check_scenario
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
@@ -266,7 +267,8 @@ def add_exploration(
         before: recording of an earlier process to continue; the object must lie where that one left it.
 
     Raises:
-        ScenarioError: an object, a surface or a hidden effect that cannot be made.
+        ScenarioError: an object, a surface or a hidden effect that cannot be made, or that moves the object
+            by itself.
         RendererUnavailable: this machine cannot render pictures.
     """
     check_scenario(scenario)
@@ -275,6 +277,8 @@ def add_exploration(
         noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)
         simulated = replace(scenario, depth_noise=noise)
         station = builder.AddSystem(Station(simulated, meshcat) if cell is None else cell)
+        if isinstance(station, Station) and before is None:
+            check_rest(scenario, station.true_object)
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     model = arm_model(models=scenario.arm.models)

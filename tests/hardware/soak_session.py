@@ -22,7 +22,7 @@ from slipmap.diagrams.testing.faults import Fault
 
 PLANT, COMMANDS = "plant.npy", "commands.npy"
 
-DOWNHILL = 0.3, -0.15  # m/s², a tilt of 2°
+DOWNHILL = 0.03, -0.015  # rad; a tilt of 2°
 
 _PAGE = resource.getpagesize() / 1e6  # MB
 _KILLED = "killed"

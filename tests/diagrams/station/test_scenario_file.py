@@ -434,3 +434,11 @@ def test_keys_of_earlier_versions_are_passed_over(tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text("repair: {together: 0.25, pushes: 3}\n")
     assert read_scenario(path).repair == RepairSettings(pushes=3)
+
+
+def test_a_loop_refuses_an_object_that_would_slide_off_before_its_first_push():
+    scenario = Scenario()
+    scenario.hidden.table_tilt.down_x = 0.34  # m/s² were meant, for 2°
+    with pytest.raises(ScenarioError, match="hammer slides off by itself: the table is tilted by 19"):
+        exploration_loop(scenario, LoopOptions())
+    Station(scenario)  # a Diagram of one's own may show how it slides
