@@ -29,9 +29,10 @@ def pushed(mu: float, speed: tuple[float, float]) -> tuple[PushDataset, float]:
     mass, n = FRICTION / slider.gravity / mu, len(grid)
     maps = Maps(np.full((1, n), mass / n), np.full((1, n), mu), np.array([0.25]))
     rng = np.random.default_rng(1)
+    length = (0.03, 0.05) if speed[0] > 0.01 else (0.015, 0.025)  # slow ones have more steps all the same
     pushes = [
         candidate.push([0.0, 0.0, rng.uniform(-3.0, 3.0)])
-        for candidate in candidate_pushes(grid, 0.006, rng, 8, length=(0.03, 0.05), speed=speed)
+        for candidate in candidate_pushes(grid, 0.006, rng, 8, length=length, speed=speed)
     ]
     return record_pushes(slider, maps, pushes, rng, rate=100.0), mass
 
