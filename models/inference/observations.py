@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -137,7 +138,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0, *, reach: flo
     duration = float(times[-1])
     twist = trial.initial_velocity()
     path = finger_path(trial)
-    track_time, track, likeliest = smooth_track(*path)
+    track_time, track, apart = _smooth(*path)
     speed = _fast_speed(track_time, track) if pushed else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
@@ -150,7 +151,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0, *, reach: flo
     if len(track_time) >= _FEW_ROWS and pushed:
         # Straight lines between rows would change the speed at each row at once, and the force would ring.
         tip = PchipInterpolator(track_time, track)(np.minimum(ends, track_time[-1]))
-        scatters = bool(np.abs(likeliest - track).max() > _LEAST_SCATTER)
+        scatters = apart > _LEAST_SCATTER
     elif pushed:
         tip = interpolated(ends, track_time, track)
 
@@ -202,6 +203,22 @@ def to_learn_from(pushes: Sequence[T]) -> list[T]:
 def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
     """Values (M, c) at ascending times (M,), linearly interpolated at the wanted times (N,): (N, c)."""
     return np.column_stack([np.interp(wanted, times, column) for column in values.T])
+
+
+def _smooth(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Times and places of `smooth_track`, and how far the likeliest tracks are from them at most, m.
+
+    Who learns, compares and diagnoses observes the same pushes each time, and smoothing them takes longest.
+    """
+    grid, smooth, apart = _smoothed(np.asarray(time, float).tobytes(), np.asarray(track, float).tobytes())
+    return grid.copy(), smooth.copy(), apart
+
+
+@lru_cache(maxsize=256)
+def _smoothed(time: bytes, track: bytes) -> tuple[FloatArray, FloatArray, float]:
+    rows = np.frombuffer(time)
+    grid, smooth, likeliest = smooth_track(rows, np.frombuffer(track).reshape(len(rows), 2))
+    return grid, smooth, float(np.abs(likeliest - smooth).max())
 
 
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:

@@ -12,6 +12,7 @@ from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import MEASURED_CONTACT
+from slipmap.models.inference.prior import PriorSettings
 from slipmap.models.measurements import Channel, Table, read_dataset
 from slipmap.models.physics.rollout import Maps
 
@@ -136,9 +137,13 @@ def test_pushes_that_the_belief_did_not_learn_from_are_told(result):
     assert replace(result, learnt_from="another").mostly_unseen
 
 
-def test_predictions_that_come_with_a_belief_are_used_for_their_own_pushes_alone(recorded):
+@pytest.fixture(scope="module")
+def learned(recorded):
+    return identify(recorded.dataset, hypotheses=2, friction_laws=False)
+
+
+def test_predictions_that_come_with_a_belief_are_used_for_their_own_pushes_alone(recorded, learned):
     dataset = recorded.dataset
-    learned = identify(dataset, hypotheses=2, friction_laws=False)
     assert compare(dataset, learned).pushes is learned.pushes
     others = replace(dataset, trials=dataset.trials[1:], fingerprint="another")
     again = compare(others, learned)
@@ -148,9 +153,8 @@ def test_predictions_that_come_with_a_belief_are_used_for_their_own_pushes_alone
 
 
 @pytest.mark.parametrize("changed", ["poses", "forces", "noise", "table"])
-def test_predictions_that_come_with_a_belief_are_not_used_for_changed_pushes(recorded, changed):
+def test_predictions_that_come_with_a_belief_are_not_used_for_changed_pushes(recorded, learned, changed):
     dataset = recorded.dataset
-    learned = identify(dataset, hypotheses=2, friction_laws=False)
     same = replace(dataset, trials=tuple(map(replace, dataset.trials)))
     assert compare(same, learned).pushes is learned.pushes
     if changed in ("poses", "forces"):
@@ -183,7 +187,8 @@ def test_another_object_is_refused(recorded, truth):
 )
 def test_hidden_effects_show_where_they_should(shared_data, name, quantity, factors):
     dataset = read_dataset(shared_data / "effects" / name)
-    found = compare(dataset, identify(dataset, hypotheses=12, friction_laws=False).belief)
+    learned = identify(dataset, hypotheses=4, prior_settings=PriorSettings(), friction_laws=False)
+    found = compare(dataset, learned.belief)
     named = [(pattern.quantity, pattern.factor) for pattern in found.significant]
     if quantity is None:
         assert named == []

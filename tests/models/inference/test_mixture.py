@@ -24,9 +24,10 @@ from slipmap.models.inference.mixture import (
     _counts,
     bold_compared,
     explain,
+    mixed_belief,
     shared_out,
 )
-from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prior import STRUCTURES
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
@@ -63,6 +64,21 @@ def made_by(recorded, *names: str, values=LAWS, heldout: int = 4) -> PushDataset
     )
 
 
+@pytest.fixture(scope="module")
+def leaning(recorded) -> PushDataset:  # type: ignore[no-untyped-def]
+    return made_by(recorded, "impulse_friction")
+
+
+@pytest.fixture(scope="module")
+def fitted(leaning) -> list[Observation]:  # type: ignore[no-untyped-def]
+    return [observation for observation in observe_all(leaning) if observation.role == "fit"]
+
+
+@pytest.fixture(scope="module")
+def every(leaning, fitted) -> list[Explanation]:  # type: ignore[no-untyped-def]
+    return explain(leaning, fitted, None, lambda done, total: None, plain_only=False)
+
+
 @pytest.mark.parametrize("names", [(), ("load_transfer",), ("impulse_friction",)], ids="+".join)
 def test_pushes_speak_for_the_law_that_made_them(recorded, names) -> None:  # type: ignore[no-untyped-def]
     dataset = made_by(recorded, *names)
@@ -80,14 +96,13 @@ def test_pushes_speak_for_the_law_that_made_them(recorded, names) -> None:  # ty
         assert held < 0.7 * held_plain
 
 
-def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    dataset = made_by(recorded, "impulse_friction")
-    fitted = [observation for observation in observe_all(dataset) if observation.role == "fit"]
-    every = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(
+    leaning, fitted, every, monkeypatch
+) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr("slipmap.models.inference.mixture._COMPARED", 2)
     said: list[float] = []
     progress = lambda done, total: said.append(done / total)  # noqa: E731
-    chosen = explain(dataset, fitted, None, progress, plain_only=False)
+    chosen = explain(leaning, fitted, None, progress, plain_only=False)
     assert said == sorted(said) and said[-1] == 1.0
     for one in chosen:
         assert list(one.likelihood.observations) == fitted
@@ -96,11 +111,16 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(recorded, monk
     best = max(every, key=lambda one: one.log_evidence)
     (same,) = [one for one in chosen if (one.law, one.structure) == (best.law, best.structure)]
     assert same.best.cost[0] == pytest.approx(best.best.cost[0], rel=0.05)
-    belief = identify(dataset, hypotheses=4).belief
+    belief = mixed_belief(leaning, chosen, (), 4, 0, lambda *_: None)
     assert belief.settings["laws_chosen_on"] == 2
 
     # What cannot be fitted to all pushes is left out.
-    own, able = mixture.fit_with_trust, 1
+    own, able, chosen_on_two = mixture.fit_with_trust, 1, []
+    compared = mixture._compared
+
+    def compared_once(*given, **more):  # type: ignore[no-untyped-def]
+        chosen_on_two.extend(() if chosen_on_two else compared(*given, **more))
+        return chosen_on_two
 
     def fit(prior, observations, *rest, **more):  # type: ignore[no-untyped-def]
         nonlocal able
@@ -110,23 +130,23 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(recorded, monk
                 raise RolloutError("broken")
         return own(prior, observations, *rest, **more)
 
+    monkeypatch.setattr(mixture, "_compared", compared_once)
     monkeypatch.setattr(mixture, "fit_with_trust", fit)
-    (left,) = explain(dataset, fitted, None, progress, plain_only=False)
+    (left,) = explain(leaning, fitted, None, progress, plain_only=False)
     assert left.share == 1.0 and len(chosen) > 1
     with pytest.raises(RolloutError, match="broken"):
-        explain(dataset, fitted, None, progress, plain_only=False)
+        explain(leaning, fitted, None, progress, plain_only=False)
 
 
-def test_explanations_chosen_with_long_steps_are_fitted_with_the_usual_ones(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    dataset = made_by(recorded, "impulse_friction")
-    fitted = [observation for observation in observe_all(dataset) if observation.role == "fit"]
-    every = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+def test_explanations_chosen_with_long_steps_are_fitted_with_the_usual_ones(
+    leaning, fitted, every, monkeypatch
+) -> None:  # type: ignore[no-untyped-def]
     for one in every:
         assert list(one.likelihood.observations) == fitted
         with_steps = fit(one.likelihood, one.best.z, offsets=one.best.offsets)
         assert one.best.cost[0] == pytest.approx(with_steps.cost[0], rel=2e-3)
     monkeypatch.setattr(type(fitted[0]), "with_long_steps", property(lambda self: self))
-    slow = explain(dataset, fitted, None, lambda done, total: None, plain_only=False)
+    slow = explain(leaning, fitted, None, lambda done, total: None, plain_only=False)
     assert [(one.law, one.structure) for one in every] == [(one.law, one.structure) for one in slow]
     for one, other in zip(every, slow, strict=True):
         assert one.share == pytest.approx(other.share, abs=0.05)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
+from slipmap.models.inference import observations
 from slipmap.models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
 from slipmap.models.inference.paper_method import observe_steps
 from slipmap.models.measurements import Channel, Noise, Trial, read_dataset
@@ -324,3 +325,18 @@ def test_a_stop_between_two_of_few_rows_stays_a_stop():
     tip = np.column_stack([x, 0.0 * x])
     push = observe(Trial("a", "fit", Channel(t, np.zeros((4, 3))), Channel(t, tip))).push
     assert (np.diff(push.tip[:, 0]) / push.h).max() == pytest.approx(0.1)
+
+
+def test_a_track_is_smoothed_once_however_often_its_push_is_observed(recorded, monkeypatch):
+    """A push of another track is another one."""
+    trial, asked = recorded.dataset.trials[0], []
+    monkeypatch.setattr(observations, "smooth_track", lambda *rows: asked.append(rows) or smooth_track(*rows))
+    observations._smoothed.cache_clear()
+    first, again = (observe(one) for one in (trial, replace(trial, role="heldout")))
+    assert len(asked) == 1 and np.array_equal(first.push.tip, again.push.tip)
+    beside = Channel(trial.tip_pose.time, trial.tip_pose.values + np.array([1e-4, 0.0]))
+    other = observe(replace(trial, tip_pose=beside))
+    assert len(asked) == 2
+    np.testing.assert_allclose(
+        other.push.tip - first.push.tip, np.full_like(first.push.tip, [1e-4, 0.0]), atol=1e-9
+    )

@@ -116,12 +116,12 @@ def test_a_belief_from_merged_cells_is_about_the_datasets_own(recorded, monkeypa
 def test_fits_and_diagnoses_merge_cells_too(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     tilt, rng = effects_named(["table_tilt"], LIBRARY)[0], np.random.default_rng(3)
     grid = recorded.slider.grid
-    candidates = candidate_pushes(grid, 0.006, rng, 12, length=(0.06, 0.1))
+    candidates = candidate_pushes(grid, 0.006, rng, 10, length=(0.06, 0.1))
     pushes = [one.push([0.05, -0.02, 0.7]) for one in candidates]
     tilted = replace(recorded.truth, effects=np.array([[0.08, 0.0]]))
     slider = Slider(grid, 0.006, effects=[tilt])
     dataset = record_pushes(slider, tilted, pushes, rng, heldout=3, mass=recorded.dataset.mass)
-    fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=150))
+    fine = replace(dataset, grid=cells_from_polygon(grid.exterior, count=100))
     monkeypatch.setattr("slipmap.models.inference.identification.MOST_CELLS", 50)
     fitted = identify(fine, ["table_tilt"], hypotheses=2)
     assert len(fitted.belief.grid) == len(fine.grid)

@@ -15,7 +15,7 @@ def test_pushes_at_the_rim_are_learnt_from_and_predicted(shared_data, name):
     if not path.is_dir():
         pytest.skip(f"no pushes at {path}")
     dataset = slipmap.read_dataset(path)
-    found = slipmap.identify(dataset, hypotheses=30, friction_laws=False)
+    found = slipmap.identify(dataset, hypotheses=8, friction_laws=False)
     assert found.belief.table == dataset.table
     heldout = [p.final_add for p in slipmap.predict(found.belief, dataset) if p.role == "heldout"]
     assert len(heldout) == 8

@@ -14,11 +14,12 @@ from slipmap.models.inference.diagnosis.several import (
     fit_together,
     named_by_evidence,
 )
-from slipmap.models.inference.together import between
+from slipmap.models.inference.together import Taught, between
 from slipmap.models.measurements import DatasetError
 from slipmap.models.physics.rollout import RolloutError
 
 EFFECTS = (SensorLatency(), AnisotropicTable(), TrackerScale())
+TAUGHT, DOUBTS = Taught.of, several.doubts_of_check
 
 
 def late(dataset, latency, name):
@@ -30,6 +31,29 @@ def late(dataset, latency, name):
         for t in dataset.trials
     )
     return dataclasses.replace(dataset, trials=trials, name=name)
+
+
+@pytest.fixture(scope="module")
+def answers():
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def once_for_each_dataset(answers, monkeypatch):
+    """Fit the model without effects to the same pushes, and check them, once for all tests."""
+
+    def once(ask):
+        def asked(dataset, observations=(), *rest):
+            key = ask, id(dataset), tuple(one.trial for one in observations)
+            if key not in answers:
+                # The dataset is kept, lest another one gets its identity.
+                answers[key] = dataset, ask(dataset, *([observations] if rest else []), *rest)
+            return answers[key][1]
+
+        return asked
+
+    monkeypatch.setattr(Taught, "of", once(TAUGHT))
+    monkeypatch.setattr(several, "doubts_of_check", once(DOUBTS))
 
 
 @pytest.fixture(scope="module")
@@ -133,13 +157,17 @@ def stretched(dataset, excess):
     return dataclasses.replace(dataset, trials=trials)
 
 
-def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
+@pytest.fixture(scope="module")
+def both(recorded):
+    return stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+
+
+def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded, both):
     def asked(dataset):
         found = named_by_evidence(dataset, EFFECTS, 0, lambda done, total: None)
         return [effect.name for effect in found]
 
     assert asked(late(recorded.dataset, 0.03, "late")) == ["sensor_latency"]
-    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
     assert sorted(asked(both)) == ["sensor_latency", "tracker_scale"]
     assert asked(recorded.dataset) == []
 
@@ -255,8 +283,7 @@ def test_one_effect_has_to_be_far_ahead_of_the_next_and_two_need_not(recorded, m
     assert tuple(effect.name for effect in named) == (names if together else ())
 
 
-def test_a_second_effect_needs_the_locked_pushes_too(recorded, monkeypatch):
-    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+def test_a_second_effect_needs_the_locked_pushes_too(both, monkeypatch):
     own = several._Inquiry._judge
 
     def judge(self, fit, evidence, progress):
@@ -284,8 +311,7 @@ def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
             diagnose_together(datasets)
 
 
-def test_a_second_effect_that_cannot_be_judged_leaves_the_first(recorded, monkeypatch):
-    both = stretched(late(recorded.dataset, 0.03, "late"), 0.06)
+def test_a_second_effect_that_cannot_be_judged_leaves_the_first(both, monkeypatch):
     own = several._Inquiry._judge
 
     def judge(self, fit, evidence, progress):
