@@ -208,7 +208,7 @@ def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> F
 def _smooth(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Times and places of `smooth_track`, and how far the likeliest tracks are from them at most, m.
 
-    Who learns, compares and diagnoses observes the same pushes each time, and smoothing them takes longest.
+    Kept, because learning, comparing and diagnosing observe the same pushes, and smoothing takes longest.
     """
     grid, smooth, apart = _smoothed(np.asarray(time, float).tobytes(), np.asarray(track, float).tobytes())
     return grid.copy(), smooth.copy(), apart
