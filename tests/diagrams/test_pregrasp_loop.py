@@ -22,7 +22,7 @@ def taken(renderer):
     """The hammer, which lies near the edge already."""
     scenario = Scenario()
     scenario.simulation.time_step = 0.005
-    scenario.camera.rate = 4.0
+    scenario.camera = replace(scenario.camera, width=480, height_pixels=360, rate=4.0)
     scenario.object.pose = [-0.27, 0.13, 20.0]
     scenario.pokes.center = [-0.27, 0.13]
     scenario.pokes.longest = 0.05

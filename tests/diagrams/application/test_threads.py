@@ -24,7 +24,7 @@ from slipmap.planners.robust_push import plan_push
 def digest(*arrays):
     return hashlib.sha256(b"".join(np.asarray(array).tobytes() for array in arrays)).hexdigest()
 
-dataset, _ = simulated_hammer(seed=1)
+dataset, _ = simulated_hammer(seed=1, fit=4, heldout=2)
 belief = identify(dataset.with_fit_pushes(2), hypotheses=4, seed=0).belief
 print(numba.get_num_threads())
 print(digest(belief.maps.mass, belief.maps.mu, belief.maps.mu_finger, belief.probability))

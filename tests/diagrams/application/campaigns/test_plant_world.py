@@ -178,7 +178,7 @@ def test_sensors_and_control_are_as_noisy_as_stated(noisy: PlantWorld) -> None:
     np.testing.assert_allclose(looks.std(axis=0), [sensors.position] * 2 + [sensors.angle], rtol=0.15)
     np.testing.assert_allclose(looks.mean(axis=0), POSE, atol=2e-4)
     push = TablePush(np.array([0.3, 0.3]), np.array([0.302, 0.3]), 0.1)
-    trials = [noisy.push(push) for _ in range(10)]
+    trials = [noisy.push(push) for _ in range(6)]
     tips = np.array([trial.tip_pose.values[[0, -1]] for trial in trials])
     off = (tips - [push.begin, push.end]).ravel()
     assert off.std() == pytest.approx(noisy.noise.control, rel=0.35)
