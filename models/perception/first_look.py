@@ -106,7 +106,7 @@ def first_look(
     picture = HeightPicture(heights)
     seen = replace(seen, first_pose=fit_edges(picture, view, seen, seen.first_pose, _REACHES).pose)
     poses, pixel = seen.first_pose[None], pixel_size(view)
-    ((misfit, _),) = mean_misfits(picture, view.lens, seen.shape, poses, pixel, 1)
+    ((misfit, _, _),) = mean_misfits(picture, view.lens, seen.shape, poses, pixel, 1)
     return replace(seen, misfit=float(misfit))
 
 
