@@ -49,7 +49,7 @@ class Sight:
     def share(self, seen: SeenObject, pose: FloatArray) -> float:
         """Share of an object's cells that are in the picture and not hidden by the arm, at a pose (3,)."""
         places = placed(seen.grid.centers, pose)
-        pixels, _ = self._view.project(np.column_stack([places, seen.cell_heights]))
+        pixels, _ = self._view.project(seen.table.lift(places, seen.cell_heights))
         column, row = np.round(pixels).astype(int).T
         height, width = self._hidden.shape
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)

@@ -333,7 +333,7 @@ def _declared_size(content: bytes) -> tuple[int, int]:
         width, height = struct.unpack_from("<ii", content, 18)
         return abs(width), abs(height)
     if re.match(rb"P[25]\s", content):
-        numbers = re.match(rb"P[25](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s", content)
+        numbers = re.match(rb"P[25](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s", content)
         if numbers is None:
             raise ValueError("no width and height")
         return int(numbers[1]), int(numbers[2])

@@ -557,11 +557,14 @@ def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
     area = cross(e, f)
     flat = np.abs(area) > 1e-14
     a, e, f, area = a[flat], e[flat], f[flat], area[flat]
-    offset = points[:, None, :] - a[None, :, :2]
-    u, v = cross(offset, f) / area, cross(e, offset) / area
-    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
-    z = np.where(inside, a[:, 2] + u * e[:, 2] + v * f[:, 2], -np.inf).max(axis=1)
-    return np.where(np.isfinite(z), z, np.nan)
+    heights = np.full(len(points), np.nan)
+    for k, point in enumerate(points):  # all at once would take gigabytes for a scan
+        offset = point - a[:, :2]
+        u, v = cross(offset, f) / area, cross(e, offset) / area
+        inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
+        if inside.any():
+            heights[k] = (a[:, 2] + u * e[:, 2] + v * f[:, 2])[inside].max()
+    return heights
 
 
 def _cap(section: BaseGeometry, z: float) -> FloatArray:

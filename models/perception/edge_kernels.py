@@ -290,7 +290,7 @@ def heights_off(picture, lens, shape, pose, pixel):  # type: ignore[no-untyped-d
 def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-untyped-def]
     """See `mean_misfits`."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    total, number, visible, looked = 0.0, 0, 0, 0
+    total, number, visible, looked, outside, over = 0.0, 0, 0, 0, 0, 0
     for i in range(0, len(shape.inner), every):
         looked += 1
         x, y = shape.inner[i]
@@ -306,6 +306,7 @@ def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-u
             total += min(abs(read - shape.tops[i]) / unlike, 1.0) ** 2
     number += visible
     for i in range(0, len(shape.points), every):
+        outside += 1
         x = shape.points[i, 0] + _OUTSIDE * pixel * shape.normals[i, 0]
         y = shape.points[i, 1] + _OUTSIDE * pixel * shape.normals[i, 1]
         # Past the top on the far side and in front of the foot on the near side lies the table.
@@ -315,8 +316,14 @@ def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-u
         if not np.isnan(read):
             number += 1
             expected = _seen(lens, shape.land, c, s, pose, u, v)
-            total += min(max((read - expected) / _UNLIKE, 0.0), 1.0) ** 2
-    return (total / number if number else 1.0), (visible / looked if looked else np.nan)
+            unlike = min(max((read - expected) / _UNLIKE, 0.0), 1.0)
+            total += unlike**2
+            over += unlike == 1.0
+    return (
+        total / number if number else 1.0,
+        visible / looked if looked else np.nan,
+        over / outside if outside else 0.0,
+    )
 
 
 @_compiled
@@ -328,9 +335,10 @@ def mean_misfits(picture, lens, shape, poses, pixel, every):  # type: ignore[no-
         every: use every point (1), every second point (2), …
 
     Returns:
-        (k, 2): misfit from 0 to 1, and the share of the inner points that are seen.
+        (k, 3): misfit from 0 to 1, the share of the inner points that are seen, and the share of the
+        outline's points beside which something stands on the table.
     """
-    result = np.empty((len(poses), 2))
+    result = np.empty((len(poses), 3))
     for k in range(len(poses)):
-        result[k, 0], result[k, 1] = _mean_misfit(picture, lens, shape, poses[k], pixel, every)
+        result[k, 0], result[k, 1], result[k, 2] = _mean_misfit(picture, lens, shape, poses[k], pixel, every)
     return result

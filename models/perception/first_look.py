@@ -19,6 +19,7 @@ from slipmap.models.files import check_archive
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of
 from slipmap.models.perception.edge_kernels import mean_misfits
 from slipmap.models.perception.object_mask import (
+    HIGHEST,
     LEAST_AREA,
     SMOOTHING,
     HeightPicture,
@@ -89,7 +90,8 @@ def first_look(
 
     Raises:
         NoTable: there is no table near z = 0 of W.
-        ObjectNotSeen: nothing stands on the table, or the arm hides part of it.
+        ObjectNotSeen: nothing stands on the table; the arm hides part of it; or it reaches beyond the picture
+            or is higher than 0.3 m.
         ValueError: there are no frames, or a picture has the wrong size.
     """
     if len(frames) == 0:
@@ -104,7 +106,7 @@ def first_look(
     picture = HeightPicture(heights)
     seen = replace(seen, first_pose=fit_edges(picture, view, seen, seen.first_pose, _REACHES).pose)
     poses, pixel = seen.first_pose[None], pixel_size(view)
-    ((misfit, _),) = mean_misfits(picture, view.lens, seen.shape, poses, pixel, 1)
+    ((misfit, _, _),) = mean_misfits(picture, view.lens, seen.shape, poses, pixel, 1)
     return replace(seen, misfit=float(misfit))
 
 
@@ -221,11 +223,19 @@ def _standing_object(
             f"nothing on the table is higher than the {1e3 * least_height(heights):.0f} mm that this camera"
             f" can distinguish from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
         )
+    size = 2 * ARM_NEAR + 1
+    around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    high = cv2.medianBlur((raw > HIGHEST).astype(np.uint8), 3) > 0
     if blocked is not None:
-        size = 2 * ARM_NEAR + 1
-        around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
         if np.any(around & blocked):
             raise ObjectNotSeen("occluded", "the arm is in front of the object or next to it; move it away")
+        high &= ~blocked
+    if np.any(around & high):
+        raise ObjectNotSeen(
+            "no object", f"the object, or something next to it, is higher than {1e3 * HIGHEST:.0f} mm"
+        )
+    if mask[[0, -1]].any() or mask[:, [0, -1]].any():
+        raise ObjectNotSeen("no object", "the object reaches beyond the picture; move it or the camera")
     return table, raw, heights, mask
 
 

@@ -24,7 +24,7 @@ Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _LOWEST = -0.005  # m; lower readings, beside the table, are raised to this: the floor's depth does not matter
-_HIGHEST = 0.3  # m; no object on the table is higher
+HIGHEST = 0.3  # m; higher readings do not count as an object
 _LEAST_WEIGHT = 0.3  # share of a smoothed pixel's neighbourhood that must have readings
 LEAST_AREA = 4e-4  # an object must cover more of the table than this, m²
 LEAST_HEIGHT = 4e-3
@@ -65,7 +65,7 @@ def smoothed_heights(heights: Heights, blocked: Mask | None = None, highest: flo
     NaN means no reading; small gaps are filled, larger ones stay. Objects higher than `highest`, m, count as
     that high.
     """
-    seen = (heights < _HIGHEST) if blocked is None else (heights < _HIGHEST) & ~blocked
+    seen = (heights < HIGHEST) if blocked is None else (heights < HIGHEST) & ~blocked
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), SMOOTHING)
     values = np.where(seen, np.clip(heights, np.float32(_LOWEST), np.float32(highest)), np.float32(0))
     mean = cv2.GaussianBlur(values, (0, 0), SMOOTHING) / np.maximum(weight, np.float32(_LEAST_WEIGHT))

@@ -57,9 +57,9 @@ _GOOD = 0.08
 # Details finer than pixels give a misfit in the object's own picture; the part beyond this is subtracted.
 _FINE = 0.01
 # No other pose is tried if nearly all inner points are seen, or if most are and misfit and standard
-# deviations are small.
+# deviations are small, unless something stands beside the outline: an end of the object that is left over.
 _SEEN_CLEARLY, _MOSTLY_SEEN = 0.95, 0.6
-_FITS_CLEARLY, _KNOWN_CLEARLY = 0.053, 1.2e-3
+_FITS_CLEARLY, _KNOWN_CLEARLY, _ALONE_CLEARLY = 0.053, 1.2e-3, 0.02
 _AS_GOOD = 0.02  # insignificant difference of misfit
 _LEAST_FOUND = 0.35  # of the outline
 _LEAST_SEEN = 0.4  # of the inner points
@@ -242,6 +242,7 @@ class _Candidate(NamedTuple):
     fit: EdgeFit
     misfit: float  # in excess of that in the object's own picture
     seen: float  # share of the inner points that are not hidden
+    beside: float  # share of the outline's points beside which something stands on the table
     known: slice  # of the pose: x and y, and the angle if it can be seen
 
     @property
@@ -258,7 +259,8 @@ class _Candidate(NamedTuple):
     def clear(self) -> bool:
         deviation = float(np.sqrt(np.diag(self.fit.covariance)[:2].max()))
         sure = self.misfit < _FITS_CLEARLY and deviation < _KNOWN_CLEARLY
-        return self.good and (self.seen > _SEEN_CLEARLY or (self.seen > _MOSTLY_SEEN and sure))
+        enough = self.seen > _SEEN_CLEARLY or (self.seen > _MOSTLY_SEEN and sure)
+        return self.good and enough and self.beside < _ALONE_CLEARLY
 
     @property
     def unmistakable(self) -> bool:
@@ -287,7 +289,7 @@ class _Search(NamedTuple):
         if picture is None:
             return None
         starts = previous + (_BESIDE if self.seen.angle_seen else _BESIDE[_BESIDE[:, 2] == 0])
-        off, share = self._misfits(picture, starts, every=3).T
+        off, share, _ = self._misfits(picture, starts, every=3).T
         likely = np.argsort(np.where(share > _LEAST_SEEN, off, np.inf), kind="stable")
         candidates = [self._fitted(picture, starts[k], _BESIDE_REACHES) for k in likely[:_REFINED_BESIDE]]
         best = min(candidates, key=lambda candidate: candidate.misfit)
@@ -306,7 +308,7 @@ class _Search(NamedTuple):
         if not self.seen.angle_seen:
             angles = previous[2:]
         starts = np.array([[*place, angle] for place in middles for angle in angles])
-        off, _ = self._misfits(picture, starts, every=3).T
+        off, _, _ = self._misfits(picture, starts, every=3).T
         chosen: list[FloatArray] = []
         apart = _APART if self.seen.angle_seen else -1.0
         for k in np.argsort(off, kind="stable"):
@@ -370,9 +372,10 @@ class _Search(NamedTuple):
 
     def _fitted(self, picture: HeightPicture, start: FloatArray, reaches: Sequence[float]) -> _Candidate:
         fit = fit_edges(picture, self.view, self.seen, start, reaches)
-        ((off, share),) = self._misfits(picture, fit.pose[None])
+        ((off, share, beside),) = self._misfits(picture, fit.pose[None])
         own = max(self.seen.misfit - _FINE, 0.0)
-        return _Candidate(fit, float(off) - own, float(share), slice(3 if self.seen.angle_seen else 2))
+        known = slice(3 if self.seen.angle_seen else 2)
+        return _Candidate(fit, float(off) - own, float(share), float(beside), known)
 
     def _misfits(self, picture: HeightPicture, poses: FloatArray, every: int = 1) -> FloatArray:
         """See `mean_misfits`; poses (k, 3)."""

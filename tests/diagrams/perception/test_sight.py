@@ -9,10 +9,10 @@ from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.object_mask import Hull
-from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.perception.pinhole_camera import TablePlane, View
 
 GRID = cells_from_polygon(np.array([[-10, -2], [10, -2], [10, 2], [-10, 2]]) * 0.01, width=0.01)
-SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.02))
+SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.02), table=TablePlane())
 CONFIG = CameraConfig()
 VIEW = View(CONFIG.intrinsics, CONFIG.X_WC.GetAsMatrix4())
 
@@ -24,6 +24,14 @@ def test_all_is_seen_in_the_middle_and_half_where_the_picture_ends():
     edge = (CONFIG.height - 0.02) * np.tan(CONFIG.fov_y / 2)
     assert sight.share(SEEN, np.array([0.0, edge, np.pi / 2])) == pytest.approx(0.5, abs=0.06)
     assert sight.share(SEEN, np.array([0.0, edge + 0.2, 0.0])) == 0.0
+
+
+def test_more_is_seen_on_a_table_that_is_lower_than_it_should_be():
+    low = SimpleNamespace(**{**vars(SEEN), "table": TablePlane(height=-0.04)})
+    edge = (CONFIG.height + 0.02) * np.tan(CONFIG.fov_y / 2)
+    middle = np.array([0.0, edge - 0.08, np.pi / 2])
+    assert Sight(VIEW, []).share(low, middle) == pytest.approx(0.9, abs=0.01)
+    assert Sight(VIEW, []).share(SEEN, middle) == pytest.approx(0.75, abs=0.06)
 
 
 def test_what_the_arm_hides_is_not_seen():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,6 +83,18 @@ def test_footprint_and_regions_match_the_pictures(thing: TrueObject, shared_data
 
     segment = labels[rows, columns][cKDTree(pixels).query(thing.grid.centers)[1]]
     assert np.mean(segment == thing.labels + 1) > 0.9
+
+
+def test_heights_of_a_scan_take_little_memory() -> None:
+    ball = trimesh.creation.icosphere(5, radius=0.05)
+    points = np.random.default_rng(0).uniform(-0.03, 0.03, (100, 2))
+    tracemalloc.start()
+    heights = height_over(ball, points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert heights == pytest.approx(np.sqrt(0.05**2 - (points**2).sum(axis=1)), abs=1e-4)
+    assert peak < 1000 * len(ball.faces)
+    assert np.isnan(height_over(ball, np.array([[0.06, 0.0]]))).all()
 
 
 def test_unknown_object_names_the_known_and_the_nearest() -> None:

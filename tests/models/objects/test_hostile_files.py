@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 import zlib
 
 import cv2
@@ -74,6 +75,13 @@ def test_spoilt_label_images(tmp_path, kind):
     read(PICTURES[kind])
     _, refused = refusals(spoilt(PICTURES[kind], 300), read, ValueError)
     assert refused > 30
+
+
+def test_a_header_of_spaces_is_refused_at_once(tmp_path):
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="damaged"):
+        read_labels(tmp_path / "labels.pgm")(b"P5" + b" " * 25 + b"x")
+    assert time.perf_counter() - start < 0.5
 
 
 @pytest.mark.parametrize("kind", PICTURES)

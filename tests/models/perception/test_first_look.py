@@ -71,6 +71,28 @@ def test_an_object_of_8_mm_is_seen_and_a_gap_in_it_is_bridged(scene):
     assert np.median(seen.cell_heights) == pytest.approx(0.008, abs=1e-3)
 
 
+def test_an_object_that_reaches_beyond_the_picture_is_not_taken_for_a_shorter_one(scene):
+    rng = np.random.default_rng(4)
+    bar = ((-0.1, -0.03, 0.1, 0.03, 0.03),)
+    inside, beyond = (
+        scene.noisy(scene.depth(bar, (0.0, y, np.pi / 2), table_radius=0.9), rng) for y in (0.38, 0.48)
+    )
+    assert first_look([inside], scene.view).grid.polygon.area == pytest.approx(0.012, rel=0.05)
+    with pytest.raises(ObjectNotSeen, match="reaches beyond the picture"):
+        first_look([beyond], scene.view)
+
+
+def test_an_object_that_is_too_high_is_not_taken_for_its_side(scene):
+    rng = np.random.default_rng(5)
+    low, high = (
+        scene.noisy(scene.depth(((-0.05, -0.05, 0.05, 0.05, height),), (0.1, 0.05, 0.3)), rng)
+        for height in (0.29, 0.32)
+    )
+    assert first_look([low], scene.view).grid.polygon.area == pytest.approx(0.01, rel=0.05)
+    with pytest.raises(ObjectNotSeen, match="higher than 300 mm"):
+        first_look([high], scene.view)
+
+
 def test_an_empty_table_and_an_arm_beside_the_object_are_said(scene, look):
     with pytest.raises(ObjectNotSeen) as none:
         look((), (0, 0, 0))

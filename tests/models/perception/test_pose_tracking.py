@@ -151,6 +151,23 @@ def test_a_handle_is_not_taken_for_itself_farther_along(scene, look):
     assert np.max(off) < 3e-3
 
 
+def test_a_bar_that_moved_along_itself_leaves_no_end_uncovered(scene, look):
+    """The arm hides one end; a pose farther under it would explain all but the other end."""
+    bar, first = ((-0.07, -0.012, 0.07, 0.012, 0.06),), np.array([-0.1, 0.0, 0.8])
+    seen, along = look(bar, tuple(first)), np.array([np.cos(0.8), np.sin(0.8)])
+    rng = np.random.default_rng(3)
+    depth = -scene.view.p_WC[2] / scene.rays[..., 2]
+    from_bar = ((scene.view.p_WC + depth[..., None] * scene.rays)[..., :2] - first[:2]) @ along
+    for far in (-0.04, -0.03, -0.02, 0.02, 0.03, 0.04, 0.05):
+        beyond = (from_bar - far) * -np.sign(far)
+        for hidden in (0.005, 0.015, 0.03):
+            arm = (beyond > 0.074 - hidden) & (beyond < 0.16)
+            image = scene.noisy(scene.depth(bar, (*(first[:2] + far * along), 0.8)), rng)
+            image[arm] = 0.9
+            observed = track(image, scene.view, seen, seen.first_pose, arm)
+            assert not observed.valid or np.hypot(*(observed.pose - seen.first_pose)[:2] - far * along) < 3e-3
+
+
 def test_an_object_that_went_far_is_found_where_its_end_is_beyond_the_picture(scene, look):
     def draw(rng):
         return (rng.uniform(-0.15, 0.15), -0.42, rng.uniform(-1.8, -1.3)), 0.0, 0, LAST
