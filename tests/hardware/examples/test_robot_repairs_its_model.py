@@ -1,5 +1,6 @@
 """A table that is not level, of which nobody told: the robot names the tilt, adds it, and its error falls."""
 
+import numpy as np
 import pytest
 
 from slipmap.diagrams.testing import assert_adopts, assert_limits_kept
@@ -20,4 +21,4 @@ def test_a_robot_adds_the_tilt_to_its_model(cell):
     assert_limits_kept(cell.commands, cell.scenario.guard)
     before = [push.error for push in run.watch.judged if "table_tilt" not in push.effects]
     after = [push.error for push in run.watch.judged if "table_tilt" in push.effects]
-    assert max(after) < 0.5 * max(before)
+    assert after[-1] < 0.5 * np.median(before), (before, after)
