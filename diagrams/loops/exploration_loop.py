@@ -202,7 +202,7 @@ class ExplorationBlocks:
             (self.exploration, "plan", self.supervisor),
             (self.supervisor, "status", self.exploration),
             (command, "status", self.logger),
-            (command, "active_push", (arm, "push"), (self.multiverse, "push")),
+            (command, "active_push", (arm, "push"), (self.multiverse, "push"), (self.finger, "push")),
             (self.logger, "trials", self.supervisor, self.identification, self.multiverse, self.monitor),
             (self.logger, "missed", self.supervisor),
             (self.identification, "learned", self.supervisor),

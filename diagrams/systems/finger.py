@@ -16,15 +16,20 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_not_negative, check_positive, check_several
 from slipmap.planners.table_push import TablePush
 
+_CATCHES_UP = 2.0  # times the speed of a push at which a finger that was not measured for a while catches up
+
 
 class FingerMotion(PythonSystem):
     """Turns the finger's measured pose into the `finger` input of `CellGridSlider`.
 
     Inputs:
-    - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
+    - `tip_pose`: X_WT; `execution`: `ExecutionStatus`; optionally `push`: `ActivePush | None` under way.
     Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger is pushing, because a
       raised finger may pass over the object.
+
+    If the program that drives a real cell was held up, the measured place jumps, and a model would take that
+    for a blow. The output then follows at no more than twice the speed of `push`.
 
     Args:
         period: s over which the velocity is computed; the step of the model that it drives.
@@ -41,7 +46,7 @@ class FingerMotion(PythonSystem):
         check_positive("FingerMotion: period", period, "s")
         self._period = period
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
-        self.declare_inputs("execution")
+        self.declare_inputs("execution", "push")
         last = self.DeclareDiscreteState(np.full(4, np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
         after = {self.discrete_state_ticket(last)}
@@ -52,8 +57,13 @@ class FingerMotion(PythonSystem):
         absent = bool(np.isnan(before[0]))
         if self.input(context, "execution").mode == "pushing":
             place = self.input(context, "tip_pose").translation()[:2]
-            velocity = np.zeros(2) if absent else (place - before[:2]) / self._period
-            state.set_value(np.concatenate([place, velocity]))
+            way = np.zeros(2) if absent else place - before[:2]
+            push: ActivePush | None = self.optional_input(context, "push")
+            longest = np.inf if push is None else _CATCHES_UP * push.push.speed * self._period
+            if (length := float(np.hypot(*way))) > longest:
+                way *= longest / length
+                place = before[:2] + way
+            state.set_value(np.concatenate([place, way / self._period]))
         elif absent:
             return EventStatus.DidNothing()
         else:

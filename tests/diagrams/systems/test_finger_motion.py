@@ -7,8 +7,9 @@ import pytest
 from driven_block import DrivenBlock
 from pydrake.math import RigidTransform
 
-from slipmap.diagrams.execution.requests import MODES, ExecutionStatus
+from slipmap.diagrams.execution.requests import MODES, ActivePush, ExecutionStatus
 from slipmap.diagrams.systems.finger import FingerMotion
+from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.01
 VELOCITY = np.array([0.06, -0.08])
@@ -56,3 +57,23 @@ def test_between_pushes_the_finger_does_not_jump():
         assert np.isnan(step(block, "retreating")).all()
     assert step(block, "pushing")[2:] == pytest.approx([0, 0])
     assert step(block, "pushing")[2:] == pytest.approx(VELOCITY)
+
+
+def test_a_finger_that_was_not_measured_for_a_while_does_not_strike_the_model():
+    """A stall of half a second, after which the steps that were missed follow at once."""
+    block = moving()
+    push = ActivePush(0, TablePush([0.0, 0.0], [0.6, -0.8], speed=0.1))
+    block.set(push=push)
+    step(block, "pushing")
+    start = step(block, "pushing")
+    jumped = start[:2] + 0.5 * VELOCITY
+    block.set(tip_pose=RigidTransform([*jumped, 0.004]))
+    places = [start[:2]]
+    for _ in range(30):
+        block.advance(PERIOD)
+        place, velocity = np.split(block.read("finger"), 2)
+        assert np.hypot(*velocity) <= 2.0 * 0.1 + 1e-12
+        assert velocity == pytest.approx((place - places[-1]) / PERIOD)
+        places.append(place)
+    assert places[-1] == pytest.approx(jumped)
+    assert np.hypot(*(places[10] - start[:2])) == pytest.approx(10 * PERIOD * 0.2)
