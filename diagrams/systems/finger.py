@@ -16,7 +16,9 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_not_negative, check_positive, check_several
 from slipmap.planners.table_push import TablePush
 
-_CATCHES_UP = 2.0  # times the speed of a push at which a finger that was not measured for a while catches up
+# Times the speed of a push at which a finger that was not measured for a while catches up; the arm itself is
+# up to 1.05 times as fast as asked.
+_CATCHES_UP = 1.25
 
 
 class FingerMotion(PythonSystem):
@@ -29,7 +31,7 @@ class FingerMotion(PythonSystem):
       raised finger may pass over the object.
 
     If the program that drives a real cell was held up, the measured place jumps, and a model would take that
-    for a blow. The output then follows at no more than twice the speed of `push`.
+    for a blow. The output then follows at no more than 1.25 times the speed of `push`.
 
     Args:
         period: s over which the velocity is computed; the step of the model that it drives.

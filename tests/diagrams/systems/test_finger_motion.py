@@ -69,11 +69,11 @@ def test_a_finger_that_was_not_measured_for_a_while_does_not_strike_the_model():
     jumped = start[:2] + 0.5 * VELOCITY
     block.set(tip_pose=RigidTransform([*jumped, 0.004]))
     places = [start[:2]]
-    for _ in range(30):
+    for _ in range(45):
         block.advance(PERIOD)
         place, velocity = np.split(block.read("finger"), 2)
-        assert np.hypot(*velocity) <= 2.0 * 0.1 + 1e-12
+        assert np.hypot(*velocity) <= 1.25 * 0.1 + 1e-12
         assert velocity == pytest.approx((place - places[-1]) / PERIOD)
         places.append(place)
     assert places[-1] == pytest.approx(jumped)
-    assert np.hypot(*(places[10] - start[:2])) == pytest.approx(10 * PERIOD * 0.2)
+    assert np.hypot(*(places[10] - start[:2])) == pytest.approx(10 * PERIOD * 0.125)
