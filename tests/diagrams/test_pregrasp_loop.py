@@ -15,6 +15,7 @@ from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp, true
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.models.geometry import compose
 from slipmap.models.objects.benchmark_objects import benchmark_object
+from tests.planners.cell_world import with_effects
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,17 @@ def test_every_push_is_recorded_and_told(taken):
     assert np.hypot(*off[:2]) < 0.018
     assert np.hypot(*told["grasp"][:2]) > 0.4  # the pins' ends are at the edge
     assert told["grasp"][2] == pytest.approx(taken.plans[-1].grasp.grasp.height / 2)
+
+
+def test_poses_are_told_as_the_belief_corrects_them(taken):
+    explored, shift = taken.exploration, np.array([0.03, 0.02, 0.0])
+    shifted = with_effects(explored.identification.belief, ["tracker_shift"], shift)
+    learned = replace(explored.identification, belief=shifted)
+    run = replace(taken, exploration=replace(explored, identification=learned))
+    for push, plain in zip(run.to_json()["pushes"], taken.to_json()["pushes"], strict=True):
+        for name in ("before", "after"):
+            assert push[name] == pytest.approx(plain[name] - shift)
+        assert push["goal"] == plain["goal"]
 
 
 def test_explorations_are_counted_without_checks_also_where_a_run_ends_early(taken):

@@ -83,7 +83,8 @@ class Account:
         lost: pushes that were recorded and are not on the disk, or not as they were.
         explorations: that ended with all their pushes; with `adapt`, `tilted` of them with the tilt in the
             model, and `wrong` with another effect.
-        growth: MB by which a session grew while it only judged pushes, at most; and in how many minutes.
+        growth: MB by which a session grew while it only judged pushes, at most; and in how many minutes. None
+            does so with `adapt`.
         joint_speed, tip_speed: largest of all commands, as shares of the limit.
         commands: how many there were.
     """
@@ -145,7 +146,7 @@ def soak(minutes: float, seed: int, folder: Path, *, adapt: bool = False) -> Acc
         task.faults = drawn_faults(rng, len(kept) + 1, PUSHES + CHECKS, adapt=adapt)
         said = _session(place, task)
         kept = checked(account, place, said, kept)
-        _counted(account, place, said)
+        _counted(account, place, said, adapt=adapt)
         write_json(folder / "soak.json", {"seed": seed, "adapt": adapt, **account.to_json()})
         end = account.sessions[-1]
         note(f"{account.minutes:.1f} min, {account.pushes} pushes, exploration {number}: {end or 'done'}")
@@ -184,7 +185,7 @@ def checked(
     return found
 
 
-def _counted(account: Account, folder: Path, said: list[dict[str, Any]]) -> None:
+def _counted(account: Account, folder: Path, said: list[dict[str, Any]], *, adapt: bool) -> None:
     last = said[-1]
     account.minutes += last["time"] / 60.0
     account.sessions.append(last["end"].partition(": ")[2] or last["end"])
@@ -200,7 +201,7 @@ def _counted(account: Account, folder: Path, said: list[dict[str, Any]]) -> None
     held = [
         (line["time"], line["resident"])
         for line in said
-        if line.get("doing") == "pushing" and line["recorded"] > PUSHES
+        if line.get("doing") == "pushing" and line["recorded"] > PUSHES and not adapt
     ][1:]
     if len(held) > 1:
         grown = held[-1][1] - held[0][1], (held[-1][0] - held[0][0]) / 60.0

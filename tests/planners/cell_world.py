@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.measurements.trial import Channel, Trial
@@ -33,6 +37,13 @@ def belief_about(thing: TrueObject, hypotheses: int = 20, seed: int = 0) -> Beli
         probability=np.full(hypotheses, 1 / hypotheses), smoothing=Smoothing(penetration=1e-4),
         dataset="", fingerprint="", method="made", seed=seed,
     )  # fmt: skip
+
+
+def with_effects(belief: Belief, names: list[str], values: Sequence[float]) -> Belief:
+    """The belief with effects of these sizes in all hypotheses."""
+    maps = belief.maps
+    sizes = np.tile(np.asarray(values, dtype=float), (len(belief), 1))
+    return replace(belief, maps=Maps(maps.mass, maps.mu, maps.mu_finger, sizes), effects=effects_named(names))
 
 
 class CellWorld:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.effects.registry import effects_given
 from slipmap.models.geometry import compose, relative
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
@@ -16,7 +15,7 @@ from slipmap.planners.pregrasp import bring_to_edge
 from slipmap.planners.push_decisions import near_enough, push_to_goal
 from slipmap.planners.robust_push import plan_push
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
-from tests.planners.cell_world import RADIUS, TABLE, CellWorld, belief_about
+from tests.planners.cell_world import RADIUS, TABLE, CellWorld, belief_about, with_effects
 
 SETTINGS = PregraspSettings(
     push=PushSettings(candidates=20, refinements=8, lengths=20), goals=GoalSettings(samples=500, count=50)
@@ -29,11 +28,9 @@ def reported(true):
     return compose(SHIFT, true)
 
 
-def off(belief, shift=SHIFT, late=LATE):
+def off(belief):
     """The belief in a world with a late and shifted tracker."""
-    values = np.broadcast_to([late, *shift], (len(belief), 4))
-    maps = Maps(belief.maps.mass, belief.maps.mu, belief.maps.mu_finger, np.array(values))
-    return replace(belief, maps=maps, effects=effects_given(["sensor_latency", "tracker_shift"]))
+    return with_effects(belief, ["sensor_latency", "tracker_shift"], [LATE, *SHIFT])
 
 
 class ShiftedWorld(CellWorld):

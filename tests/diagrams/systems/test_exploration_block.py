@@ -16,6 +16,7 @@ from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.action_selection import Choice
 from slipmap.planners.settings import PokeSettings
+from tests.planners.cell_world import belief_about, with_effects
 
 GRID = cells_from_polygon(np.array([[-6, -2], [6, -2], [6, 2], [-6, 2]]) * 0.01, width=0.01)
 SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.05))
@@ -72,6 +73,17 @@ def test_a_request_stands_until_another_is_wanted():
         for _ in range(2):
             assert chooser.step(status=LoopStatus(mode, 0), object_pose=seen_at(0.1, 0, 0)).choice is first
     assert chooser.choose(1) is not first
+
+
+def test_with_a_shifted_tracker_the_arm_is_asked_about_the_object_where_it_is():
+    even, obstacles = np.full(len(GRID), 0.01), []
+    thing = SimpleNamespace(grid=GRID, mass=even, mu=30.0 * even, mu_finger=0.3)
+    shift = np.array([0.03, 0.02, 0.0])
+    chooser = Chooser(allowed=lambda obstacle, push: obstacles.append(obstacle.pose) or True)
+    shifted = with_effects(belief_about(thing, hypotheses=4), ["tracker_shift"], shift)
+    chooser.set(belief=shifted, object_pose=seen_at(*(POSE + shift)))
+    chooser.choose(0)
+    assert np.array(obstacles) == pytest.approx(np.tile(POSE, (len(obstacles), 1)))
 
 
 def test_the_push_reaches_the_object_where_it_is():

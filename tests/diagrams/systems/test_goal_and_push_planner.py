@@ -21,7 +21,7 @@ from slipmap.models.physics.rollout import Maps, Push, Smoothing
 from slipmap.planners.push_decisions import Way, near_enough
 from slipmap.planners.robust_push import PushEnds, plan_push
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
-from tests.planners.cell_world import TABLE, belief_about
+from tests.planners.cell_world import TABLE, belief_about, with_effects
 
 HAMMER = benchmark_object("hammer")
 BELIEF = belief_about(HAMMER, hypotheses=4)
@@ -86,6 +86,17 @@ def test_at_a_goal_it_asks_for_the_grasp_and_for_another_where_that_is_refused()
     assert second.grasp.push_id == second.number
     apart = np.hypot(*(second.grasp.grasp.tip - first.grasp.grasp.tip))
     assert apart > 0.009 or second.grasp.grasp.approach != first.grasp.grasp.approach
+
+
+def test_with_a_shifted_tracker_it_plans_where_the_object_is():
+    shift, obstacles = np.array([0.03, 0.02, 0.0]), []
+    shifted = with_effects(BELIEF, ["tracker_shift"], shift)
+    planner = Planner(can_push=lambda obstacle, push: obstacles.append(obstacle.pose) or True)
+    first = planner.plan(belief=shifted, object_pose=seen_at(*(MIDDLE + shift)))
+    assert np.array(obstacles) == pytest.approx(np.tile(MIDDLE, (len(obstacles), 1)))
+    assert first.push.push.end == pytest.approx(Planner().plan().push.push.end)
+    grasp = planner.plan(6, object_pose=seen_at(*(first.goal.pose + shift))).grasp
+    assert grasp.pose == pytest.approx(first.goal.pose)
 
 
 def test_where_the_arm_can_take_it_from_no_side_it_pushes_on():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 import zlib
 
 import cv2
@@ -77,11 +76,10 @@ def test_spoilt_label_images(tmp_path, kind):
     assert refused > 30
 
 
-def test_a_header_of_spaces_is_refused_at_once(tmp_path):
-    start = time.perf_counter()
+def test_a_header_of_many_spaces_is_refused(tmp_path):
+    """A pattern that tries every way to divide the spaces would never end."""
     with pytest.raises(ValueError, match="damaged"):
-        read_labels(tmp_path / "labels.pgm")(b"P5" + b" " * 25 + b"x")
-    assert time.perf_counter() - start < 0.5
+        read_labels(tmp_path / "labels.pgm")(b"P5" + b" " * 80 + b"x")
 
 
 @pytest.mark.parametrize("kind", PICTURES)
