@@ -9,13 +9,13 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import turned_to
 from slipmap.models.inference import push_misfit
+from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
-from slipmap.models.inference.summaries import middle_poses
+from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
@@ -139,8 +139,10 @@ class ModelMonitor(PythonSystem):
 
     A push is judged when its recording is complete: by the pose at which the object came to rest (the arm may
     hide it on the way), and by the mean force of the finger if that was recorded and the push was not a tap.
-    Pushes that no belief predicted do not count, nor does one whose hypotheses are gone because two others
-    have begun since (`Universes.of_trial`). An angle that cannot be seen (`angle_held`) is not judged.
+    The belief that held when the push began predicts both from the recording, as `predict` does. Where the
+    hypotheses in motion ended does not count: they are pushed by the finger as they learn of it, which may
+    be late. Pushes that no belief predicted do not count, nor does one whose hypotheses are gone because two
+    others have begun since (`Universes.of_trial`). An angle that cannot be seen (`angle_held`) is not judged.
 
     Args:
         sensors: noise of the recorded poses; position and angle are used.
@@ -206,32 +208,32 @@ class ModelMonitor(PythonSystem):
             watch = replace(watch, trials=number + 1)
             pushed = None if universes is None else universes.of_trial(number)
             if pushed is not None:
-                judged = self._judged(number, trials[number], pushed, watch)
+                judged = self._judged(number, trials[number], pushed.belief, watch)
                 watch = replace(watch, judged=(*watch.judged, judged))
         return watch
 
-    def _judged(self, number: int, trial: Trial, universes: Universes, watch: Watch) -> Judged:
-        belief = universes.belief
-        start, end = trial.object_pose.values[[0, -1]]
+    def _judged(self, number: int, trial: Trial, belief: Belief, watch: Watch) -> Judged:
         held = angle_held(trial)
         error = self._error_held if held else self._error
         observation = observe(trial, number, reach=belief.grid.reach)
+        (motion,) = predicted_motion(belief, [observation])
+        start, seen, ends = observation.push.start_pose, observation.poses[-1], motion.poses[:, -1]
         force = push_misfit.steady_force(observation)
         misfit, p = push_misfit.resting_misfit(
-            start, end, universes.poses, belief.probability, error, belief.grid,
-            None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
+            start, seen, ends, belief.probability, error, belief.grid,
+            None if force is None else (force, push_misfit.steady_forces(motion, observation)),
             taught=belief.taught,
         )  # fmt: skip
         effects = tuple(effect.name for effect in belief.slider.effects)
         same = not watch.judged or watch.judged[-1].effects == effects
         before = max(watch.evidence, 1.0) if same else 1.0
         evidence = before * push_misfit.bet(max(p, LEAST_P))
-        region = push_misfit.resting_region(observation, universes.poses, belief, error, self._error.noise)
-        seen = turned_to(end, region.middle[2])
+        region = push_misfit.resting_region(observation, ends, belief, error, self._error.noise)
+        seen = turned_to(seen, region.middle[2])
         if held:  # its rotation is unknown
             seen[2] = region.middle[2]
-        middle = middle_poses(universes.poses, belief.probability, belief.grid)
-        off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
+        off = float(add(seen, motion.middle_poses[-1], belief.grid.centers))
+        excess = region.excess(seen)
         by_evidence = evidence >= 1.0 / LEVEL or (same and watch.alarm and evidence > 1.0)
         outside = not region.holds(seen, 1.0 - LEVEL)
         # Either suffices. Evidence adds up small errors that recur, but takes three pushes, however far off
@@ -239,5 +241,5 @@ class ModelMonitor(PythonSystem):
         alarm = by_evidence or outside
         return Judged(
             number, misfit, p, evidence, alarm, off, off / max(excess, 1e-9), not region.holds(seen), effects,
-            float(add(start, end, belief.grid.centers)), outside,
+            float(add(start, observation.poses[-1], belief.grid.centers)), outside,
         )  # fmt: skip

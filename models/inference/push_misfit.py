@@ -18,7 +18,7 @@ from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import drawn_ends, model_deviations
+from slipmap.models.inference.prediction import Motion, drawn_ends, model_deviations
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
@@ -56,10 +56,9 @@ def steady_force(observation: Observation) -> FloatArray | None:
     return observation.forces[observation.sliding].mean(axis=0)
 
 
-def predicted_steady_forces(belief: Belief, observation: Observation) -> FloatArray:
-    """(K, 2) the same mean force as predicted by each hypothesis, N."""
-    rollouts = belief.slider.rollout(belief.maps, [observation.push])
-    return rollouts.forces_of(0)[:, observation.sliding].mean(axis=1)
+def steady_forces(motion: Motion, observation: Observation) -> FloatArray:
+    """(K, 2) the same mean force as each hypothesis predicts it, N."""
+    return motion.forces[:, observation.sliding].mean(axis=1)
 
 
 def resting_misfit(

@@ -11,13 +11,14 @@ import scipy.linalg
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.push_misfit import (
     bet,
     observation_of,
     pose_noise,
-    predicted_steady_forces,
     resting_misfit,
     steady_force,
+    steady_forces,
     whitening_factors,
 )
 from slipmap.models.inference.residuals import centroid_tracks
@@ -182,7 +183,8 @@ def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pus
         found = steady_force(seen)
         assert found is not None
         assert found == pytest.approx(forces[:6].mean(axis=0))
-        assert predicted_steady_forces(belief, seen)[1] == pytest.approx(found)
+        (motion,) = predicted_motion(belief, [seen])
+        assert steady_forces(motion, seen)[1] == pytest.approx(found)
 
 
 def test_bets_are_fair() -> None:
