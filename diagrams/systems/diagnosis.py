@@ -36,6 +36,8 @@ they were, but did worse, though not by far, or made no difference."""
 _OPEN = ("undecided", "unknown", FAILED, CLOSE)
 """Verdicts that speak neither for nor against effects that are on trial."""
 
+_QUESTION = "question"  # what a diagnosis is begun for that finds a question again
+
 _FAR = 2.0
 """How many times larger errors with an effect must be for its first test to drop it."""
 
@@ -61,6 +63,7 @@ class Repair:
     wanted: int = 0  # total pushes to learn from that it asks for
     findings: tuple[Finding, ...] = ()
     question: Question | None = None  # what the next push is to tell apart
+    asks_again: bool = False  # whether the question about effects on trial has yet to be found again
 
     @property
     def tried(self) -> Finding | None:
@@ -85,12 +88,12 @@ class Repair:
 
     def to_run(self) -> dict[str, Any]:
         """As plain data from which another process can continue; the question is left out."""
-        return {"trials": self.trials, "wanted": self.wanted, **self.to_json()}
+        return {"trials": self.trials + self.asks_again, "wanted": self.wanted, **self.to_json()}
 
     @classmethod
     def of_run(cls, stored: dict[str, Any]) -> Repair:
-        """Restore what `to_run` stored. If the last push left a question, it is diagnosed again to ask it;
-        the question of effects on trial is lost.
+        """Restore what `to_run` stored. If the last finding left a question, its pushes are diagnosed again
+        to ask it.
 
         Raises:
             KeyError, TypeError: the data is not a stored `Repair`.
@@ -100,7 +103,10 @@ class Repair:
         last = findings[-1] if findings else None
         if last is not None and last.action == "pushes on" and last.telling and last.pushes == trials:
             findings, trials = findings[:-1], trials - 1
-        return cls(trials, effects, int(stored["wanted"]), findings)
+        found = cls(trials, effects, int(stored["wanted"]), findings)
+        if last is not None and last.telling and found.tried is not None:
+            found = replace(found, trials=trials - 1, asks_again=True)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +199,17 @@ class Diagnosis(PythonSystem):
             task: Any = None
             rest: tuple[Any, ...]
             due = repair.tested_at + self._settings.probation
+            if repair.asks_again and len(trials) < due:
+                asked = trials[: repair.findings[-1].pushes]
+                begins = begun(
+                    self._worker,
+                    _diagnosed,
+                    self._make_dataset,
+                    asked,
+                    self.input(context, "cell_grid"),
+                    self._seed,
+                )
+                return repair, (repair.trials + 1, begins, _QUESTION)
             if repair.tried is not None and len(trials) >= due:
                 models = (repair.effects, self._without(repair))
                 task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
@@ -208,6 +225,9 @@ class Diagnosis(PythonSystem):
         count, result, what = job
         if not result.done():
             return repair, job
+        if what == _QUESTION:
+            question = None if result.exception() else result.result().question
+            return replace(repair, trials=count, question=question, asks_again=False), None
         try:
             answer = result.result()
         except Exception as error:  # whatever it is, the robot can go on with the model that it has

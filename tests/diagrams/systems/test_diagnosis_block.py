@@ -348,11 +348,30 @@ def test_what_is_left_is_the_question_of_the_next_pushes(monkeypatch):
 def test_another_process_goes_on_with_the_effect_and_its_trial(monkeypatch):
     first = Robot(monkeypatch, ("effect", ("tether",))).push(5, alarm=True)
     stored = Repair.of_run(json.loads(json.dumps(first.to_run())))
-    assert stored == replace(first, question=None)
-    robot = Robot(monkeypatch, before=stored, without=0.0)
+    robot = Robot(monkeypatch, before=replace(stored, asks_again=False), without=0.0)
     assert robot.read("effects") == ("tether",)
     robot.push(6, error=0.01)
     assert actions(robot.push(7, error=0.01)) == ["adopts", "drops"]
+
+
+def test_another_process_asks_again_what_tells_about_an_effect_on_trial(monkeypatch):
+    answer = ("effect", ("tether",))
+    before = Robot(monkeypatch, answer)
+    before.push(5, alarm=True)
+    first = before.push(6)
+    assert first.question is QUESTION
+    stored = Repair.of_run(json.loads(json.dumps(first.to_run())))
+    # Also where that process ends before it could ask.
+    assert Repair.of_run(json.loads(json.dumps(stored.to_run()))) == stored
+    robot = Robot(monkeypatch, answer, before=stored)
+    assert robot.push(6) == first and robot.asked == [5]
+    assert actions(robot.push(7)) == ["adopts", "keeps"]
+    # A diagnosis that fails asks nothing, and the trial goes on.
+    failing = Robot(monkeypatch, ValueError("no"), before=stored)
+    assert failing.push(6) == replace(first, question=None)
+    # A test that is due needs no question.
+    late = Robot(monkeypatch, before=stored)
+    assert actions(late.push(7)) == ["adopts", "keeps"] and late.asked == []
 
 
 def test_another_process_asks_an_open_question_anew(monkeypatch):
