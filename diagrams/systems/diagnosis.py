@@ -64,6 +64,7 @@ class Repair:
     findings: tuple[Finding, ...] = ()
     question: Question | None = None  # what the next push is to tell apart
     asks_again: bool = False  # whether the question about effects on trial has yet to be found again
+    given: tuple[str, ...] = ()  # effects that the model had from the start
 
     @property
     def tried(self) -> Finding | None:
@@ -184,7 +185,7 @@ class Diagnosis(PythonSystem):
         self._settings, self._most = settings, pushes + settings.pushes
         self._given, self._seed, self._worker = tuple(effects), seed, worker
         self.declare_inputs("trials", "cell_grid", "watch")
-        start = Repair(effects=self._given) if before is None else before
+        start = replace(before or Repair(effects=self._given), given=self._given)
         self._state = self.DeclareAbstractState(held((start, None)))
         self.declare_steps(PERIOD, self._state, self._next)
         self.declare_output_of("repair", self._state, lambda state: state[0])
@@ -279,7 +280,7 @@ class Diagnosis(PythonSystem):
             question = None
         telling = "" if question is None else question.words
         finding = Finding(count, found.verdict, found.sentence, effects, action, telling)
-        after = Repair(count, effects, repair.wanted, (*repair.findings, finding), question)
+        after = _after(repair, finding, question)
         if action == "adopts":
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
         return self._pushing_on(after) if is_open else after
@@ -310,8 +311,7 @@ class Diagnosis(PythonSystem):
                 verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
             else:
                 effects, action = self._without(repair), "drops"
-        finding = Finding(count, verdict, said, effects, action)
-        return Repair(count, effects, wanted, (*repair.findings, finding))
+        return replace(_after(repair, Finding(count, verdict, said, effects, action)), wanted=wanted)
 
     def _confirmed(self, repair: Repair) -> bool:
         """Whether the present effects were tested on pushes and kept."""
@@ -328,6 +328,18 @@ class Diagnosis(PythonSystem):
 
     def _pushing_on(self, repair: Repair) -> Repair:
         return replace(repair, wanted=min(max(repair.wanted, repair.trials + 1), self._most))
+
+
+def _after(repair: Repair, finding: Finding, question: Question | None = None) -> Repair:
+    """The repair once a finding was made."""
+    return Repair(
+        finding.pushes,
+        finding.effects,
+        repair.wanted,
+        (*repair.findings, finding),
+        question,
+        given=repair.given,
+    )
 
 
 MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]

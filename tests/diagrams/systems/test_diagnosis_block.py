@@ -270,7 +270,7 @@ def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
     assert robot.push(6, alarm=True, error=0.07).effects == ("table_tilt", "tether")
     assert robot.push(7, alarm=True, error=0.07).effects == ("table_tilt",)
     repair = robot.push(8, alarm=True)
-    assert repair.effects == ("table_tilt",)
+    assert repair.effects == repair.given == ("table_tilt",)
     assert actions(repair) == ["adopts", "pushes on", "drops", "goes on without"]
 
 

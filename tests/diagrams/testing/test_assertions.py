@@ -114,13 +114,15 @@ def test_a_quiet_monitor_must_have_had_something_to_judge():
 
 
 def test_an_effect_must_have_been_adopted_on_the_way():
-    given = ("table_tilt",)
-    kept = Finding(5, "effect", "The table is tilted.", given, "keeps")
-    adopted = replace(kept, action="adopts")
-    assert_adopts(SimpleNamespace(repair=Repair(5, given, findings=(adopted, kept))), "table_tilt")
-    for findings in ((), (kept,)):
+    tilt, both = ("table_tilt",), ("table_tilt", "tether")
+    adopted = Finding(5, "effect", "The table is tilted.", tilt, "adopts")
+    assert_adopts(SimpleNamespace(repair=Repair(5, tilt, findings=(adopted,))), "table_tilt")
+    for effects, findings in ((tilt, ()), (both, (replace(adopted, effects=both),))):
+        run = SimpleNamespace(repair=Repair(5, effects, findings=findings, given=tilt))
         with pytest.raises(AssertionError, match="table_tilt was in the model from the start"):
-            assert_adopts(SimpleNamespace(repair=Repair(5, given, findings=findings)), "table_tilt")
+            assert_adopts(run, "table_tilt")
+        if findings:
+            assert_adopts(run, "tether")
     with pytest.raises(AssertionError, match="table_tilt is not in the model at the end"):
         assert_adopts(SimpleNamespace(repair=Repair(5, (), findings=(adopted,))), "table_tilt")
 
