@@ -46,7 +46,8 @@ INERTIA_COLUMNS = 4
 EXTRA_COLUMNS = INERTIA_COLUMNS + 1 + 6
 """Number of columns after the n loads: inertia, finger friction, start."""
 
-MAX_EVALUATIONS = 60
+MAX_EVALUATIONS = 300
+"""Sums over the cells in a step. A push takes two or three; where blades and rest meet, over a hundred."""
 
 # A step ignores gaps that exceed what it can close by more than this, m.
 _CONTACT_MARGIN = 1e-3

@@ -87,3 +87,34 @@ def test_torsional_friction_is_a_torque_against_every_spin() -> None:
         more = acceleration("torsional_friction", [radius], velocity, spin=3.0)
         less = acceleration("", [], velocity, spin=3.0)
         assert (less - more)[2] == pytest.approx(radius * MASS * G / MOMENT, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("angle", "point", "radius", "twist", "h"),
+    [
+        (
+            -1.1010026025984894,
+            (-0.02865863663374821, -0.006886421116679323),
+            0.005,
+            (0.3603280605772534, 0.021721480021407058, -4.538016970430181),
+            0.01,
+        ),
+        (
+            1.8661042949703734,
+            (-0.025216196609092207, 0.0015945797180705462),
+            0.02,
+            (0.13463005586694898, 0.3357543314873237, 6.808062966879245),
+            0.02,
+        ),
+    ],
+)
+def test_a_blade_and_a_torque_that_hold_at_once_bring_it_to_rest(
+    angle: float, point: tuple[float, float], radius: float, twist: tuple[float, float, float], h: float
+) -> None:
+    """Sharp bends of two laws beside that of rest take a hundred sums over the cells in a step."""
+    effects = [EFFECTS["skate"], EFFECTS["torsional_friction"]]
+    values = [1.0, angle, *point, radius]
+    end = slide(effects, values, coast_of(twist, 100 * h, h), grid=block(6, 4, 0.01), mass=0.48, mu=MU).end[
+        0, 0
+    ]
+    assert np.abs(end[3:]).max() < 1e-9
