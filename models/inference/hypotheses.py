@@ -194,8 +194,8 @@ def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_bes
     strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
     stretches, (of_errors,) = int(likelihood.settings.independent), rng.spawn(1)
     errors = DrawnErrors(
-        _in_pairs((hypotheses, B, stretches, 3), len(ladder), of_errors),
-        _in_pairs((hypotheses, B, 2), len(ladder), of_errors),
+        _balanced((hypotheses, B, stretches, 3), len(ladder), of_errors),
+        _balanced((hypotheses, B, 2), len(ladder), of_errors),
     )
     if keep_best:
         weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
@@ -208,13 +208,16 @@ def _shape(B: int) -> float:
     return max(B - 1, 1) / (B + 1)
 
 
-def _in_pairs(shape: tuple[int, ...], rungs: int, rng: np.random.Generator) -> FloatArray:
-    """Standard normal draws for K hypotheses, the first entry of a shape. Of two in a row under the same
-    likelihood, the second has the opposite of the first one's, so that the mean of few stays near the best
-    fit."""
-    pairs = -(-shape[0] // (2 * rungs))
-    drawn = rng.standard_normal((pairs, 1, rungs, *shape[1:]))
-    return np.concatenate([drawn, -drawn], axis=1).reshape(-1, *shape[1:])[: shape[0]]
+def _balanced(shape: tuple[int, ...], rungs: int, rng: np.random.Generator) -> FloatArray:
+    """Standard normal draws for K hypotheses, the first entry of a shape. Those under the same likelihood have
+    a mean of zero, so that the mean of few hypotheses stays near the best fit."""
+    drawn = rng.standard_normal(shape)
+    for rung in range(rungs):
+        own = drawn[rung::rungs]
+        if len(own) > 1:
+            own -= own.mean(axis=0)
+            own *= np.sqrt(len(own) / (len(own) - 1))
+    return drawn
 
 
 def refits(ladder: Ladder, drawn: Draws, report: StageProgress) -> tuple[Maps, FloatArray]:
