@@ -209,8 +209,8 @@ def _shape(B: int) -> float:
 
 
 def _balanced(shape: tuple[int, ...], rungs: int, rng: np.random.Generator) -> FloatArray:
-    """Standard normal draws for K hypotheses, the first entry of a shape. Those under the same likelihood have
-    a mean of zero, so that the mean of few hypotheses stays near the best fit."""
+    """Standard normal draws for K hypotheses, the first entry of a shape. Those under the same likelihood
+    have a mean of zero, so that the mean of few hypotheses stays near the best fit."""
     drawn = rng.standard_normal(shape)
     for rung in range(rungs):
         own = drawn[rung::rungs]
