@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -350,12 +351,12 @@ class PushDataset(Setup):
         """The dataset with only the first `count` fit trials and all heldout trials.
 
         Raises:
-            ValueError: `count` below 1 or above the number of fit trials.
+            ValueError: `count` is no whole number, below 1, or above the number of fit trials.
         """
         available = len(self.fit_trials)
-        if not 1 <= count <= available:
+        if not isinstance(count, Integral) or not 1 <= count <= available:
             raise ValueError(
-                f"dataset {self.name}: cannot take {count} of {available} fit trials; take 1 to {available}"
+                f"dataset {self.name}: cannot take {count!r} of {available} fit trials; take 1 to {available}"
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))

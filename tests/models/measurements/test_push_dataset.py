@@ -96,9 +96,9 @@ def test_roles_and_the_first_fit_pushes(example):
     assert dataset.with_fit_pushes(2).trials == dataset.trials
 
 
-@pytest.mark.parametrize("count", [0, -1, 3])
+@pytest.mark.parametrize("count", [0, -1, 3, 1.5, "2", None])
 def test_more_fit_pushes_than_there_are(example, count):
-    with pytest.raises(ValueError, match=f"cannot take {count} of 2 fit trials; take 1 to 2"):
+    with pytest.raises(ValueError, match=f"cannot take {count!r} of 2 fit trials; take 1 to 2"):
         read_dataset(example.write()).with_fit_pushes(count)
 
 
