@@ -42,7 +42,7 @@ from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
-from slipmap.models.measurements.dataset_check import SELDOM_LESS, SELDOM_MORE
+from slipmap.models.measurements.trial_checks import SELDOM_LESS, SELDOM_MORE
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 

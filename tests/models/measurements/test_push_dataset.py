@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -165,6 +166,33 @@ def test_arrays_in_millimetres_are_told():
     told = []
     of_arrays(lambda push: push | {"object_pose": push["object_pose"] * [1, 1e3, 1e3, 1]}, tell=told.append)
     assert any("are positions in m" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("mass", "factor", "words"),
+    [
+        (1.0, 1.0, []),
+        (
+            1.0,
+            1e3,
+            [r"pushes: ft_wrench is \d+ N while pushing, \d+ times the weight of 1 kg; is the force in N"],
+        ),
+        (1e3, 1.0, ["pushes: object.mass is 1000 kg on .*; is it in kg"]),
+        (1e-4, 1.0, ["pushes: object.mass is 0.0001 kg on .*; is it in kg"]),
+    ],
+)
+def test_forces_and_masses_in_other_units_are_told(mass, factor, words):
+    factors = [1, factor, factor, factor]
+    made = of_arrays(lambda push: push | {"ft_wrench": push["ft_wrench"] * factors}, mass=mass)
+    assert len(made.warnings) == len(words)
+    for told, word in zip(made.warnings, words, strict=True):
+        assert re.match(word, told)
+
+
+@pytest.mark.parametrize("mass", ["500 g", -1.0, float("nan")])
+def test_a_mass_that_is_none_is_refused_by_name(mass):
+    with pytest.raises(DatasetError, match=f"mass must be positive and finite, got {mass!r}"):
+        of_arrays(mass=mass)
 
 
 def test_an_array_is_no_channel():
