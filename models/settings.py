@@ -1,7 +1,7 @@
 """Checks of settings and arguments; settings dataclasses of scenario files, whose fields have a range."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -39,8 +39,9 @@ def check_kind(name: str, value: object, kind: type, source: str) -> None:
 
 
 def check_several(name: str, value: object, source: str) -> None:
-    """Raise TypeError for a single object where several are wanted; the message says where to get them."""
-    if not isinstance(value, Iterable):
+    """Raise TypeError for a single object, or a generator, where several are wanted; the message says where
+    to get them."""
+    if not isinstance(value, Collection):
         raise TypeError(f"{name} must be a list, {source}; got one {type(value).__name__}")
 
 

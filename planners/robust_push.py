@@ -33,11 +33,13 @@ from scipy.spatial import cKDTree
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import compose, relative, turn
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
+from slipmap.models.settings import check_kind
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import NEGLIGIBLE, PushSettings
@@ -343,7 +345,7 @@ class PlannedPush:
 
 @one_blas_thread()
 def plan_push(
-    belief: Belief,
+    belief: Belief | Identification,
     pose: ArrayLike,
     targets: ArrayLike,
     table: Table,
@@ -355,7 +357,7 @@ def plan_push(
     """Choose a push that brings the object to one of the targets, or nearer to it.
 
     Args:
-        belief: hypotheses, one or many.
+        belief: hypotheses, one or many, or what `identify` returned.
         pose: (3,) of the object as the tracker reports it, world, m and rad.
         targets: (3,) or (G, 3) true poses, any of which is acceptable; the predicted poses are true ones too.
         table: that it must not fall from.
@@ -365,10 +367,33 @@ def plan_push(
             refusal, only clearly shorter pushes on the same line are tried.
         costs: (G,) added to the expected number of pushes to each target.
 
+    Returns:
+        The push; where each hypothesis expects the object after it, `predicted` (K, 3); the same with control
+        noise, `ends`; and the probability that it falls, `fall_probability`.
+
     Raises:
         NoReachablePush: the finger reaches the object nowhere, no candidate is allowed, or none is predicted.
+        TypeError: something other than a belief, a table, settings and a generator; names it.
         ValueError: no target, or an argument of another shape or that is not finite; names it.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> from slipmap.models.measurements import Table
+        >>> from slipmap.planners.robust_push import plan_push
+        >>> from slipmap.planners.settings import PushSettings
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=0)
+        >>> belief = slipmap.identify(dataset, hypotheses=4, friction_laws=False).belief
+        >>> table = Table("round", (0.0, 0.0), radius=0.5)
+        >>> rng = np.random.default_rng(0)
+        >>> planned = plan_push(belief, [0, 0, 0], [0.1, 0.05, 0.3], table, PushSettings(), rng)
+        >>> planned.fall_probability, planned.predicted.shape
+        (0.0, (4, 3))
     """
+    belief = belief_of(belief)
+    check_kind("plan_push: table", table, Table, "such as Table('round', (0.0, 0.0), radius=0.5)")
+    check_kind("plan_push: settings", settings, PushSettings, "such as PushSettings()")
+    check_kind("plan_push: rng", rng, np.random.Generator, "such as np.random.default_rng(0)")
     pose, belief = belief.true_pose(_finite("pose", pose, (3,))), belief.in_world()
     goals = np.atleast_2d(np.asarray(targets, dtype=float))
     if not goals.size or goals.ndim != 2 or goals.shape[1] != 3:

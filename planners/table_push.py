@@ -15,6 +15,7 @@ TOUCH_SPEED = 0.05
 TAP_SPEEDING_UP, TAP_SLOWING_DOWN = 3.0, 5.0
 """Accelerations of the finger in a tap, m/s². The finger stops faster than friction stops the object, which
 slides on alone; the arm can brake this hard nearly everywhere, but at 8 m/s² in few places."""
+_LONGEST, _FASTEST = 10.0, 10.0  # of a push, m, and of its finger, m/s; more is in millimetres
 _ACCELERATION = 0.5  # of a finger in pushes other than taps, speeding up and slowing down, m/s²
 
 
@@ -32,8 +33,8 @@ class TablePush:
         creep: in a tap, distance that the finger travels at `TOUCH_SPEED` before it speeds up, m; else 0.
 
     Raises:
-        ValueError: a number that is not finite, a speed that is not positive, a length of zero, or a creep as
-            long as the push.
+        ValueError: a number that is not finite, a speed that is not positive, a length of zero, a creep as
+            long as the push, or a length over 10 m or a speed over 10 m/s, as in millimetres.
 
     Example:
         >>> import slipmap
@@ -53,8 +54,14 @@ class TablePush:
             raise ValueError(f"push: begin and end must be finite points (2,), got {begin} and {end}")
         if not (np.isfinite(self.speed) and self.speed > 0):
             raise ValueError(f"push: speed must be positive, got {self.speed} m/s")
+        if self.speed > _FASTEST:
+            raise ValueError(f"push: speed is {self.speed:g} m/s; no finger is that fast, divide by 1000?")
         if np.hypot(*(end - begin)) < 1e-6:
             raise ValueError("push: begin and end are the same point")
+        if (length := np.hypot(*(end - begin))) > _LONGEST:
+            raise ValueError(
+                f"push: {length:g} m lie between begin and end; no push is that long, divide by 1000?"
+            )
         if not 0 <= self.creep < np.hypot(*(end - begin)):
             raise ValueError(f"push: creep must lie between 0 and the length of the push, got {self.creep} m")
         object.__setattr__(self, "begin", begin)

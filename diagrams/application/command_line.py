@@ -115,7 +115,7 @@ def run(arguments: Sequence[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _report(_STOPPED, STOPPED)
     except click.UsageError as error:
-        path = error.ctx.command_path if error.ctx else "slipmap"
+        path = error.ctx.command_path if error.ctx else " ".join(["slipmap", *_command_in(arguments)])
         said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
         return _report(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
@@ -136,6 +136,11 @@ def run(arguments: Sequence[str]) -> int:
         if _comes_of_ctrl_c(error):
             return _report(_STOPPED, STOPPED)
         return _report(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
+
+
+def _command_in(arguments: Sequence[str]) -> list[str]:
+    """The command that was typed, if there is such a one; an option without its value does not tell."""
+    return [word for word in arguments[:1] if word in slipmap.commands]
 
 
 def _comes_of_ctrl_c(error: BaseException | None) -> bool:

@@ -25,6 +25,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]"
 _WIDEST = 100  # columns, largest width of a table
 _GAP = 3  # characters between the columns of a table
 _HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
+_LONG = 3.0  # s of compiling that are announced
 _LONGEST_STAGE = 34  # characters beside a bar; longer names are cut
 _ENOUGH, _ALWAYS_ENOUGH = 0.02, 20  # parts, as a share of all and in number, that tell the pace
 _BAR = 16  # columns of a bar where there is room; with the numbers, the line fits 80 columns
@@ -101,6 +102,7 @@ def prepare_kernels() -> None:
         ) from error
     if needs_compiling():
         note("Compiling the kernels for this machine, once (about half a minute)…")
+        _compiling[0].told = True
 
 
 class Progress:
@@ -180,11 +182,15 @@ class _Compiling:
     """A watch of the time spent compiling, kernels or formulas of effects; numba tells it."""
 
     _depth, _began, _spent = 0, 0.0, 0.0
+    told = False  # whether the wait was announced
 
     def on_start(self, event: object) -> None:
         if not self._depth:
             self._began = time.monotonic()
         self._depth += 1
+        if not self.told and self.seconds > _LONG:  # as with the first table or the first effect
+            self.told = True
+            note("Compiling what these pushes need for the first time (up to a minute)…")
 
     def on_end(self, event: object) -> None:
         self._depth -= 1

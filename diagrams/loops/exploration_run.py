@@ -112,13 +112,14 @@ class ExplorationRun:
         if self.true_object is None or self.X_SO is None:
             return None
         belief, true = self.identification.belief, self.true_center_of_mass
-        mean = belief.probability @ belief.centers_of_mass
+        named = {quantity.name: quantity.value for quantity in self.identification.quantities}
+        believed = np.array([named[f"centre of mass, {axis}"] for axis in "xy"])
         return {
             "total_mass": self.true_object.total_mass,
             "friction_force": float((self.true_object.mass * self.true_object.mu).sum() * belief.gravity),
             "center_of_mass": [float(value) for value in true],
-            "center_of_mass_believed": [float(value) for value in mean],
-            "center_of_mass_error": float(np.hypot(*(true - mean))),
+            "center_of_mass_believed": [float(value) for value in believed],
+            "center_of_mass_error": float(np.hypot(*(true - believed))),
         }
 
 

@@ -1,6 +1,5 @@
 """Sizes of effects in everyday terms: a tilt in degrees and its direction instead of two slopes."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +8,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, Parameter
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
-from slipmap.models.inference.summaries import interval
+from slipmap.models.inference.summaries import decimals, interval
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 
@@ -113,12 +112,6 @@ def _at_an_end(value: float, parameter: Parameter) -> bool:
 def unit_text(unit: str) -> str:
     """The unit after a number; nothing where there is none."""
     return "" if unit == "1" else f" {unit}"
-
-
-def decimals(size: float) -> int:
-    """Decimals that show two figures of a number of this size, 0 to 8."""
-    size = abs(size)
-    return min(max(1 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) and size > 0 else 3
 
 
 def shown_numbers(*values: float) -> tuple[str, ...]:

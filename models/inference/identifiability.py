@@ -42,7 +42,7 @@ from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
-from slipmap.models.measurements.dataset_check import SELDOM_LESS, SELDOM_MORE
+from slipmap.models.measurements.trial_checks import SELDOM_LESS, SELDOM_MORE
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 
@@ -63,6 +63,8 @@ _SMALL_BASE = 0.5
 _CENTRE = ("centre of friction, x", "centre of friction, y")
 _ARM = "friction arm (mean distance from its centre)"
 _TOO_HEAVY = "hardly any object of this size is so heavy: is the force in N?"
+_TOO_SLOW = "motion is so slow that friction outweighs inertia; coasting or a fast start would show it"
+_TOO_LITTLE_INERTIA = "inertia shows too little of it; coasting or faster starts would show more"
 _TOO_ALIKE = "so few pushes with such errors do not show how strongly the maps vary"
 
 
@@ -161,6 +163,7 @@ def quantities(
     masses = belief.maps.mass.sum(axis=1)
     too_heavy = prior.mass is None and interval(masses, belief.probability, log=True)[0] > heaviest
     results: list[Quantity] = []
+    by_inertia = False  # whether inertia shows any quantity
     for place, measure in enumerate(measures):
         if prior.known is not None and variances[0][0][place] < SHOWN_SHARE * open_widths[place]:
             measure = replace(
@@ -200,7 +203,10 @@ def quantities(
             reason += f", but {_TOO_HEAVY}"
         if shown and measure.share and not measure.given:
             reason = _basis_of_shares({one.name for one in results if one.shown}) or reason
+        by_inertia |= bool(shown and measure.inertial and not measure.given)
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
+    if by_inertia:  # so motion is not too slow for others
+        results = [replace(r, reason=_TOO_LITTLE_INERTIA) if r.reason == _TOO_SLOW else r for r in results]
     return tuple(results)
 
 
@@ -347,7 +353,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     slow = seen.unless_missed(
         "the object slid freely for too short a time, or too similarly each time"
         if seen.coasted
-        else "motion is so slow that friction outweighs inertia; coasting or a fast start would show it"
+        else _TOO_SLOW
     )
     hardly_turned = "the object hardly turns in these pushes"
     no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn the object too similarly"

@@ -12,6 +12,7 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Paired
+from slipmap.models.inference.summaries import decimals
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_choice, check_kind
@@ -30,9 +31,22 @@ class Quantity:
     reason: str  # why, or why not
 
     def __str__(self) -> str:
-        """Name, value and interval: `total friction: 1.761 N (1.746 to 1.776)`."""
+        """Name, value and interval, as precise as that: `total friction: 1.761 N (1.746 to 1.776)`."""
         unit = "" if self.unit == "-" else f" {self.unit}"
-        return f"{self.name}: {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
+        value, low, high = self.numbers(self.value)
+        return f"{self.name}: {value}{unit} ({low} to {high})"
+
+    def numbers(self, *values: float, factor: float = 1.0) -> tuple[str, ...]:
+        """Values and the ends of the interval, times a factor, with as many digits as the interval justifies.
+
+        Where the interval spans decades, each number has two significant figures instead.
+        """
+        low, high = factor * self.low, factor * self.high
+        decades = low > 0 and high > 5 * low
+        return tuple(
+            f"{number:z.{decimals(number if decades else high - low)}f}"
+            for number in (*(factor * value for value in values), low, high)
+        )
 
 
 @dataclass(frozen=True, eq=False)

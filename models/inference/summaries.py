@@ -11,11 +11,19 @@ with 1 / Σ p² effective draws for weights p. For several numbers together see 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import stdtrit
 
 from slipmap.models.geometry import at_centroid, from_centroid, radius_of_gyration
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+
+def decimals(size: float) -> int:
+    """Decimals that show two figures of a number of this size, 0 to 8."""
+    size = abs(size)
+    return min(max(1 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) and size > 0 else 3
 
 
 def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> FloatArray:

@@ -42,6 +42,7 @@ from slipmap.models.measurements.trial_checks import (
     impossible,
     jittering,
     never_near,
+    odd_for_weight,
     pushing_force,
     too_strong,
 )
@@ -78,8 +79,6 @@ _NO_COMMON_LAG = "is a frame, the outline or finger.radius wrong, rather than a 
 _SHIFT = "add "  # start of advice to correct a clock
 _TAKEN = "taken off"  # an import's words about a force's bias
 _BIASED = 0.05  # of the force while pushing
-_LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
-SELDOM_LESS, SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
 _NOISIER = 3.0  # times the declared noise
 _FEWEST_NOISY = 30  # rows of a track that show its noise
 _MOST_MOTION = 1.5  # times the scatter of every second row, of which more is motion
@@ -560,21 +559,8 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     pushing = pushing_force(dataset, forced) or 0.0
     if (strong := too_strong(dataset, forced)) is not None:
         findings.append(Finding("force and size", strong[0], "wrong", strong[1]))
-    if dataset.mass is not None:
-        weight = dataset.mass * dataset.gravity
-        each = [np.hypot(*trial.channels["ft_wrench"].values[:, :2].T) for trial in forced]
-        peak = float(np.median([one.max() for one in each]))
-        small = peak < SELDOM_LESS * weight  # of taps, most rows hold no force
-        if small or pushing > SELDOM_MORE * weight:
-            size = peak if small else pushing
-            share = size / weight
-            text = (
-                f"{'at most ' if small else ''}{size:.3g} N while pushing, {share:.2g} times the weight of"
-                f" {dataset.mass:.3g} kg"
-            )
-            far = not _LEAST_FRICTION < share < _MOST_FRICTION
-            advice = "is the force in N, and object.mass in kg and right?"
-            findings.append(Finding("force and mass", text, "wrong" if far else "note", advice))
+    if (odd := odd_for_weight(dataset, forced)) is not None:
+        findings.append(Finding("force and mass", odd.found, "wrong" if odd.far else "note", odd.advice))
     if rest:
         bias = np.median([free[0] for free, _ in rest], axis=0)
         error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 LEAST_SPREAD = 1e-3
 """Smallest relative standard deviation with which anything is known."""
 
-MOST_PER_AREA = 2e4
-"""Mass per area of an object that hardly any other exceeds, as of two metres of steel, kg/m²."""
+LEAST_PER_AREA, MOST_PER_AREA = 0.1, 2e4
+"""Mass per area of an object, from stiff paper to two metres of steel, kg/m²; hardly any lies outside."""
 
 _DENSEST = 2.5e4  # kg/m³, more than gold
 _LEAST_NOISE = {
@@ -323,8 +324,8 @@ class PushDataset(Setup):
             ("finger height", self.finger_height),
             ("gravity", self.gravity),
         ):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value}")
+            if value is not None and not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+                raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value!r}")
         if self.finger_radius > THICKEST_FINGER:
             raise DatasetError(TOO_THICK.format(where="finger radius", value=self.finger_radius))
         if self.known is not None:
@@ -350,12 +351,12 @@ class PushDataset(Setup):
         """The dataset with only the first `count` fit trials and all heldout trials.
 
         Raises:
-            ValueError: `count` below 1 or above the number of fit trials.
+            ValueError: `count` is no whole number, below 1, or above the number of fit trials.
         """
         available = len(self.fit_trials)
-        if not 1 <= count <= available:
+        if not isinstance(count, Integral) or not 1 <= count <= available:
             raise ValueError(
-                f"dataset {self.name}: cannot take {count} of {available} fit trials; take 1 to {available}"
+                f"dataset {self.name}: cannot take {count!r} of {available} fit trials; take 1 to {available}"
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))

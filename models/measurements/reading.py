@@ -17,7 +17,7 @@ from slipmap.models.measurements.known_maps import with_known_maps
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Setup, Table, dataset_of
 from slipmap.models.measurements.sessions import cut_at_carries
-from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
+from slipmap.models.measurements.setup_description import SETUP_KEYS, doubtful_object, parse_setup
 from slipmap.models.measurements.trial import CHANNELS, LAST_PLACE, DatasetError, Role, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
@@ -176,7 +176,8 @@ def dataset_from_arrays(
     )  # fmt: skip
     stays = True if keep_all else None
     kept, told = check_trials(dataset, dataset.trials, name, lambda trial: stays)
-    warnings = (*_gathered(doubts), *told)
+    object_doubts = doubtful_object({"height": height, "mass": mass}, grid, f"{name}: object")
+    warnings = (*object_doubts, *_gathered(doubts), *told)
     for warning in warnings:
         tell(warning)
     return replace(dataset, trials=tuple(kept), warnings=warnings)

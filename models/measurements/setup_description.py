@@ -11,7 +11,7 @@ import shapely
 
 from slipmap.models.measurements import known_maps, parsing
 from slipmap.models.measurements.parsing import Number
-from slipmap.models.measurements.push_dataset import MOST_PER_AREA, Noise, Setup, Table
+from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Noise, Setup, Table
 from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import THICKEST_FINGER, TOO_THICK
@@ -39,7 +39,6 @@ _SMALLEST_EXTENT = 1e-3  # m
 _LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers must be mm
 # Limits beyond which a value is unusual, but not refused.
 _HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
-_MASS_PER_AREA = (0.1, MOST_PER_AREA)  # kg/m²; from stiff paper on
 _NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
@@ -68,7 +67,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     name = parsing.text(document.get("name", default_name), f"{where}: name")
     description = parsing.text(document.get("description", ""), f"{where}: description")
     measured = _numbers(shape, _OBJECT, f"{where}: object")
-    warnings += _doubtful_object(measured, grid, f"{where}: object")
+    warnings += doubtful_object(measured, grid, f"{where}: object")
     table = _table(document.get("table"), f"{where}: table", warnings)
     noise = _noise(document.get("noise"), f"{where}: noise", warnings)
     height, mass = measured.get("height"), measured.get("mass")
@@ -128,17 +127,18 @@ def _known(source: object, names: Iterable[str]) -> dict[str, float]:
     return {name: float(value) for name in names if (value := getattr(source, name)) is not None}
 
 
-def _doubtful_object(measured: dict[str, float], grid: CellGrid, where: str) -> list[str]:
+def doubtful_object(measured: Mapping[str, float | None], grid: CellGrid, where: str) -> list[str]:
+    """What looks wrong with the `height` (m) and `mass` (kg) that were measured of an object, if anything."""
     warnings = []
-    if "height" in measured:
-        height, size = measured["height"], float(np.ptp(grid.exterior, axis=0).max())
+    if (height := measured.get("height")) is not None:
+        size = float(np.ptp(grid.exterior, axis=0).max())
         if not _HEIGHT_PER_SIZE[0] <= height / size <= _HEIGHT_PER_SIZE[1]:
             warnings.append(
                 f"{where}.height is {height:g} m over a footprint of {size:.3g} m; are both in m?"
             )
-    if "mass" in measured:
-        mass, area = measured["mass"], float(grid.polygon.area)
-        if not _MASS_PER_AREA[0] <= mass / area <= _MASS_PER_AREA[1]:
+    if (mass := measured.get("mass")) is not None:
+        area = float(grid.polygon.area)
+        if not LEAST_PER_AREA <= mass / area <= MOST_PER_AREA:
             warnings.append(
                 f"{where}.mass is {mass:g} kg on {1e4 * area:.3g} cm², {mass / area:.3g} kg/m²; is it in kg,"
                 " and the outline in m?"

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -20,7 +21,7 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.motion import stamp_jitter
-from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
@@ -44,6 +45,9 @@ _NEVER_NEAR = 0.03  # m of air that no wrong outline, finger or clock explains
 _UNSEEN = 0.15  # s between rows in which a finger may come and go
 _MANY_LENGTHS = 5.0  # of the outline, travelled in a push; beyond, a unit of length is wrong
 _FAR, _TIMES_FARTHER = 3.0, 50.0  # m, and times the others' median, that no object is pushed
+
+_LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
+SELDOM_LESS, SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
 
 _PULLS = (
     "the force points against the finger's motion, as if it pulled. ft_wrench must be the force of the finger"
@@ -95,6 +99,9 @@ def check_trials(
     if (away := never_near(setup, chosen)) is not None:
         found.pop(_NOT_NEAR, None)  # the same, push by push
         told.append(f"{where}: {'; '.join(away)}")
+    odd_force = odd_for_weight(setup, chosen)
+    if odd_force is not None and odd_force.wrong_force:
+        told.append(f"{where}: ft_wrench is {odd_force.found}; {odd_force.advice}")
     for doubt in (too_strong(setup, chosen), jittering(chosen)):
         told += [f"{where}: {'; '.join(doubt)}"] if doubt else []
     warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
@@ -135,6 +142,11 @@ def never_near(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
     return found, f"{asked} If no finger pushed, import with `tip_pose: null`"
 
 
+def rounded(value: float, digits: int) -> str:
+    """A number with so many significant digits, and no power of ten below a million."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
 def pushing_force(setup: Setup, trials: Sequence[Trial]) -> float | None:
     """Median over the pushes of the force in a typical strong row, N; None where none was measured."""
     sizes = [
@@ -152,9 +164,43 @@ def too_strong(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
     if setup.mass is not None or pushing is None or pushing <= heaviest:
         return None
     found = (
-        f"ft_wrench is {pushing:.3g} N while pushing; hardly any object of this size weighs {heaviest:.3g} N"
+        f"ft_wrench is {rounded(pushing, 3)} N while pushing; hardly any object of this size weighs"
+        f" {rounded(heaviest, 3)} N"
     )
     return found, "is the force in N, rather than in grams or mN?"
+
+
+class OddForce(NamedTuple):
+    """A force that is odd for the weight."""
+
+    found: str
+    advice: str
+    far: bool  # whether it is so odd that a unit is wrong
+    wrong_force: bool  # whether that is the unit of the force: it is too strong, and the mass may be right
+
+
+def odd_for_weight(setup: Setup, trials: Sequence[Trial]) -> OddForce | None:
+    """What is odd if an object that was weighed is pushed with far less or more than friction needs; else
+    None."""
+    pushing = pushing_force(setup, trials)
+    if setup.mass is None or pushing is None:
+        return None
+    weight = setup.mass * setup.gravity
+    forced = [trial.ft_wrench for trial in trials if trial.ft_wrench and trial.finger_near(setup.reach)]
+    peak = float(np.median([np.hypot(*wrench.values[:, :2].T).max() for wrench in forced]))
+    small = peak < SELDOM_LESS * weight  # of taps, most rows hold no force
+    if not small and pushing <= SELDOM_MORE * weight:
+        return None
+    size = peak if small else pushing
+    share = size / weight
+    found = (
+        f"{'at most ' if small else ''}{rounded(size, 3)} N while pushing, {rounded(share, 2)} times the"
+        f" weight of {rounded(setup.mass, 3)} kg"
+    )
+    far = not _LEAST_FRICTION < share < _MOST_FRICTION
+    may_be = LEAST_PER_AREA <= setup.mass / setup.grid.polygon.area <= MOST_PER_AREA
+    advice = "is the force in N, and object.mass in kg and right?"
+    return OddForce(found, advice, far, far and not small and may_be)
 
 
 def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:

@@ -145,10 +145,16 @@ def quantities_shown(seen: Coverage) -> list[Told]:
              "weighed beforehand" if seen.mass_known else "needs force, and fast pushes or coasting"),
         Told("centre of mass, moment of inertia",
              (seen.coasting > 0 or seen.fastest > _THROWN) and seen.turned > _TURNS,
-             f"fastest {1e3 * seen.fastest:.0f} mm/s, pushes that coast: {seen.coasting}"),
+             f"{_fastest_in_words(seen)}, pushes that coast: {seen.coasting}"),
         Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
         Told("shares of parts of the object", seen.arcs >= 5 and around, "contact all around the outline"),
     ]  # fmt: skip
+
+
+def _fastest_in_words(seen: Coverage) -> str:
+    """The highest speed of the object, which poses before and after pushes alone do not tell."""
+    measured = seen.fastest or not seen.pushes
+    return f"fastest {1e3 * seen.fastest:.3g} mm/s" if measured else "no poses while it moves"
 
 
 _Needs = Callable[[Coverage], bool]

@@ -55,6 +55,20 @@ def test_a_target_that_some_push_reaches_is_reached(seed):
     assert metric.gap(planned.predicted, world.pose).mean() == pytest.approx(planned.gap, abs=0.005)
 
 
+@pytest.mark.parametrize(
+    ("belief", "table", "settings", "rng", "words"),
+    [
+        ("belief.npz", TABLE, SETTINGS, np.random.default_rng(0), "belief must be a Belief"),
+        (BELIEF, None, SETTINGS, np.random.default_rng(0), "table must be a Table, such as .*; got None"),
+        (BELIEF, TABLE, None, np.random.default_rng(0), "settings must be a PushSettings"),
+        (BELIEF, TABLE, SETTINGS, 0, "rng must be a Generator, such as .*; got a int"),
+    ],
+)
+def test_other_kinds_of_arguments_are_refused_by_name(belief, table, settings, rng, words):
+    with pytest.raises(TypeError, match=words):
+        plan_push(belief, START, [0.1, 0.0, 0.0], table, settings, rng)
+
+
 def test_a_frame_is_pushed_from_inside_where_that_is_best():
     square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     gaps = []

@@ -19,6 +19,8 @@ def along_x(length, speed, creep=0.0):
         (lambda: along_x(0.1, 0.0), "speed"),
         (lambda: along_x(np.nan, 0.1), "finite"),
         (lambda: along_x(0.1, 0.1, creep=0.1), "creep"),
+        (lambda: along_x(100.0, 0.05), "100 m lie between begin and end; .* divide by 1000"),
+        (lambda: along_x(0.1, 50.0), "speed is 50 m/s; .* divide by 1000"),
     ],
 )
 def test_what_cannot_be_pushed_is_refused(push, word):

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -300,9 +299,7 @@ def _show_exploration(run: ExplorationRun, *, goes_on: bool = True) -> None:
     if truth is None:
         paragraph(f"It took {run.seconds:.0f} s.")
     else:
-        # As in the table of quantities: the medians.
-        named = {quantity.name: quantity.value for quantity in run.identification.quantities}
-        _show_truth([named[f"centre of mass, {axis}"] for axis in "xy"], truth["center_of_mass"])
+        _show_truth(truth)
         paragraph(
             f"{run.simulated:.0f} s of simulated time took {run.seconds - run.thinking:.0f} s; learning and"
             f" choosing pushes took {run.thinking:.0f} s."
@@ -347,17 +344,15 @@ def _show_surprises(run: ExplorationRun, folder: Path, explored: int | None = No
     return beyond_chance
 
 
-def _show_truth(believed: Sequence[float], true: Sequence[float]) -> None:
+def _show_truth(truth: Mapping[str, Any]) -> None:
+    places = {"believed": truth["center_of_mass_believed"], "true": truth["center_of_mass"]}
     table(
         "Centre of mass, and the truth that only the simulator knows",
         ["", "x, mm", "y, mm"],
-        [
-            ["believed", *(f"{1e3 * value:z.1f}" for value in believed)],
-            ["true", *(f"{1e3 * value:z.1f}" for value in true)],
-        ],
+        [[name, *(f"{1e3 * value:z.1f}" for value in place)] for name, place in places.items()],
         numbers=(1, 2),
     )
-    paragraph(f"The belief's centre of mass is {1e3 * math.dist(believed, true):.1f} mm off.")
+    paragraph(f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off.")
 
 
 def _monitor_words(watch: Watch, *, goes_on: bool = True) -> str:

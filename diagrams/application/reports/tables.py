@@ -9,7 +9,6 @@ from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, JointComparison
-from slipmap.models.inference.effect_words import decimals
 from slipmap.models.inference.end_region import beyond_in_millimetres
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
@@ -329,18 +328,10 @@ def named(quantity: Quantity) -> str:
 
 
 def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
-    """Values of a quantity (SI) and its interval last, with as many digits as the interval justifies.
-
-    Where the interval spans decades, each number has two significant figures instead.
-    """
+    """Values of a quantity (SI) and its interval last, see `Quantity.numbers`."""
     _, factor = _SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
-    low, high = factor * quantity.low, factor * quantity.high
-    decades = low > 0 and high > 5 * low
-    numbers = [
-        f"{number:z.{decimals(number if decades else high - low)}f}"
-        for number in (*(factor * value for value in values), low, high)
-    ]
-    return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")
+    *numbers, low, high = quantity.numbers(*values, factor=factor)
+    return (*numbers, f"{low} to {high}")
 
 
 def _millimetres(metres: float) -> str:

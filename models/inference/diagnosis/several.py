@@ -21,6 +21,7 @@ dataset to dataset by as much as the datasets disagree.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -193,8 +194,11 @@ def check_together(datasets: Sequence[PushDataset], apart: Collection[str]) -> N
         raise ValueError(f"apart: unknown owner {strangers[0]!r}; choose from {', '.join(get_args(Owner))}")
     names = [dataset.name for dataset in datasets]
     if len(datasets) < 2 or len(set(names)) < len(names):
+        (name, uses), *_ = Counter(names).most_common(1) or [("none", 0)]
+        same = f"; change `name` in the dataset.yaml of one of those called {name}" if uses > 1 else ""
         raise DatasetError(
-            f"a joint model needs two or more datasets with different names, got {', '.join(names) or 'none'}"
+            "taken together are two or more datasets with different names, got"
+            f" {', '.join(names) or 'none'}{same}"
         )
     check_distinct(datasets)
 

@@ -91,6 +91,7 @@ def test_an_unknown_command_lists_what_there_is(slipmap):
         (["bench", "--jsn", "x"], "--jsn"),
         (["compare", "data", "--belief", "a.npz", "--belief=b.npz"], "--belief is given 2 times"),
         (["demo", "-o", "a", "--output", "b", "-o", "a"], "-o/--output is given 3 times"),
+        (["explore", "--object"], "--object"),
         (["completion"], "Choose from: bash, zsh, fish."),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 import shutil
 from dataclasses import dataclass, replace
@@ -144,6 +145,14 @@ def test_friction_comes_near_the_truth(explored):
     believed = sum(h["probability"] * h["friction_force"] for h in explored.result["hypotheses"])
     # Two pushes: wild maps explain them exactly, too, and draw friction down.
     assert believed == pytest.approx(force, rel=0.25)
+
+
+def test_the_centre_of_mass_that_is_compared_with_the_truth_is_that_of_the_quantities(explored):
+    truth = explored.result["truth"]
+    named = {quantity["name"]: quantity["value"] for quantity in explored.result["identifiable"]}
+    believed = [named[f"centre of mass, {axis}"] for axis in "xy"]
+    assert truth["center_of_mass_believed"] == pytest.approx(believed, rel=1e-12)
+    assert truth["center_of_mass_error"] == pytest.approx(math.dist(believed, truth["center_of_mass"]))
 
 
 @pytest.mark.parametrize("plant, step", [(0.001, 0.005), (0.002, 0.004), (0.003, 0.003), (0.01, 0.005)])

@@ -584,6 +584,29 @@ def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
         assert pace.left() == pytest.approx(96 * 0.5)
 
 
+@pytest.mark.parametrize(("before", "lines"), [(1.0, 0), (5.0, 1)])
+def test_a_long_wait_for_compiling_is_announced_once_where_some_kernels_are_there(
+    tmp_path, capsys, monkeypatch, before, lines
+):
+    """A dataset with a table, or with effects, needs kernels that others did not."""
+    from numba.core import event
+
+    from slipmap.models.physics import compiled
+
+    now = 0.0
+    (tmp_path / "step.nbc").touch()
+    monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    monkeypatch.setattr(terminal, "_compiling", [])
+    terminal.prepare_kernels()
+    with event.trigger_event("numba:compiler_lock"):
+        now = before
+        for _ in range(2):
+            with event.trigger_event("numba:compiler_lock"):
+                pass
+    assert capsys.readouterr().err.count("Compiling what these pushes need for the first time") == lines
+
+
 def test_formulas_of_effects_are_compiled_under_the_lock_that_the_pace_watches(monkeypatch):
     from numba import cfunc, float64
 

@@ -62,6 +62,16 @@ def test_fast_pushes_show_mass_and_moment_of_inertia():
     assert facts["total mass"].high < 1.5 * facts["total mass"].low
 
 
+def test_motion_is_not_called_slow_where_inertia_shows_something():
+    dataset, _ = pushed(0.3, (0.2, 0.3))
+    dataset = replace(dataset, trials=dataset.trials[:2])
+    facts = learned(dataset)
+    left = [facts[name] for name in (*INERTIAL, "centre of mass, x", "centre of mass, y")]
+    assert {quantity.shown for quantity in left} == {True, False}
+    assert not any("motion is so slow" in quantity.reason for quantity in left)
+    assert any("inertia shows too little of it" in quantity.reason for quantity in left)
+
+
 def test_a_weighed_mass_is_shown_even_by_slow_pushes():
     dataset, mass = pushed(0.3, (0.004, 0.005))
     facts = learned(replace(dataset, mass=mass))

@@ -192,8 +192,13 @@ def test_measured_pushes(shared_data, monkeypatch, name, seeds, limit, measure):
 
 def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
     friction = Quantity("finger friction", "-", 0.298, 0.2931, 0.30391, True, "")
-    assert str(friction) == "finger friction: 0.298 (0.2931 to 0.3039)"
-    assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.298 kg (0.2931 to 0.3039)"
+    assert str(friction) == "finger friction: 0.298 (0.293 to 0.304)"
+    assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.298 kg (0.293 to 0.304)"
+
+
+def test_a_quantity_is_printed_as_precisely_as_its_interval():
+    middle = Quantity("centre of friction, x", "m", -4.3e-19, -0.000386, 0.00043, True, "")
+    assert str(middle) == "centre of friction, x: 0.00000 m (-0.00039 to 0.00043)"
 
 
 @pytest.mark.parametrize("columns", range(4, 16))

@@ -68,6 +68,10 @@ LINE = slipmap.TablePush([-0.06, 0.0], [0.04, 0.0], 0.05)
             ),
             "recording: pushes must be a list",
         ),
+        (
+            lambda dataset: slipmap.Slider(GRID, 0.008).rollout(TRUTH, (push for push in [PUSH])),
+            r"pushes must be a list, such as \[push\]; got one generator",
+        ),
         (lambda dataset: slipmap.FingerPath(LINE, h=0.005), "FingerPath: pushes must be .* one TablePush"),
         (
             lambda dataset: slipmap.push_figures(dataset, dataset),

@@ -377,6 +377,16 @@ def test_a_centre_of_mass_shows_where_objects_coast_or_are_thrown(fastest, coast
 
 
 @pytest.mark.parametrize(
+    ("pushes", "fastest", "told"),
+    [(8, 0.0004, "fastest 0.4 mm/s"), (8, 0.0, "no poses while it moves"), (0, 0.0, "fastest 0 mm/s")],
+)
+def test_a_speed_is_told_where_it_was_measured(pushes, fastest, told):
+    seen = check_dataset(straight_pushes(8)).coverage
+    reasons = [one.reason for one in quantities_shown(replace(seen, pushes=pushes, fastest=fastest))]
+    assert sum(told in reason for reason in reasons) == 1
+
+
+@pytest.mark.parametrize(
     ("declared", "advice"), [(None, "rounded on export"), (1e-4, "0.00029 m or more"), (5e-4, "export")]
 )
 def test_rounded_poses_are_told(declared, advice):

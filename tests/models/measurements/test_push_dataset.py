@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -96,9 +97,9 @@ def test_roles_and_the_first_fit_pushes(example):
     assert dataset.with_fit_pushes(2).trials == dataset.trials
 
 
-@pytest.mark.parametrize("count", [0, -1, 3])
+@pytest.mark.parametrize("count", [0, -1, 3, 1.5, "2", None])
 def test_more_fit_pushes_than_there_are(example, count):
-    with pytest.raises(ValueError, match=f"cannot take {count} of 2 fit trials; take 1 to 2"):
+    with pytest.raises(ValueError, match=f"cannot take {count!r} of 2 fit trials; take 1 to 2"):
         read_dataset(example.write()).with_fit_pushes(count)
 
 
@@ -165,6 +166,33 @@ def test_arrays_in_millimetres_are_told():
     told = []
     of_arrays(lambda push: push | {"object_pose": push["object_pose"] * [1, 1e3, 1e3, 1]}, tell=told.append)
     assert any("are positions in m" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("mass", "factor", "words"),
+    [
+        (1.0, 1.0, []),
+        (
+            1.0,
+            1e3,
+            [r"pushes: ft_wrench is \d+ N while pushing, \d+ times the weight of 1 kg; is the force in N"],
+        ),
+        (1e3, 1.0, ["pushes: object.mass is 1000 kg on .*; is it in kg"]),
+        (1e-4, 1.0, ["pushes: object.mass is 0.0001 kg on .*; is it in kg"]),
+    ],
+)
+def test_forces_and_masses_in_other_units_are_told(mass, factor, words):
+    factors = [1, factor, factor, factor]
+    made = of_arrays(lambda push: push | {"ft_wrench": push["ft_wrench"] * factors}, mass=mass)
+    assert len(made.warnings) == len(words)
+    for told, word in zip(made.warnings, words, strict=True):
+        assert re.match(word, told)
+
+
+@pytest.mark.parametrize("mass", ["500 g", -1.0, float("nan")])
+def test_a_mass_that_is_none_is_refused_by_name(mass):
+    with pytest.raises(DatasetError, match=f"mass must be positive and finite, got {mass!r}"):
+        of_arrays(mass=mass)
 
 
 def test_an_array_is_no_channel():

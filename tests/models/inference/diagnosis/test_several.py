@@ -306,9 +306,11 @@ def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_lock
 
 
 def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
-    for datasets in ([recorded.dataset], [recorded.dataset, recorded.dataset]):
-        with pytest.raises(DatasetError, match="needs two or more datasets with different names"):
-            diagnose_together(datasets)
+    words = "two or more datasets with different names, got"
+    with pytest.raises(DatasetError, match=f"{words} {recorded.dataset.name}$"):
+        diagnose_together([recorded.dataset])
+    with pytest.raises(DatasetError, match=f"{words} .*; change `name` in the dataset.yaml of one of those"):
+        diagnose_together([recorded.dataset, recorded.dataset])
 
 
 def test_a_second_effect_that_cannot_be_judged_leaves_the_first(both, monkeypatch):
