@@ -262,7 +262,7 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     for what, words in (
         ("flips", ("theta turns", "jumps")),
         ("zeros", ("exactly zero",)),
-        ("stamps", ("go back", "have the stamp of the row before")),
+        ("stamps", ("go back", "have the stamp of the row before", "are far from those")),
     ):
         named = [text for text in texts if any(word in text for word in words)]
         found.append(

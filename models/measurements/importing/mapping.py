@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import compose
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
 from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.stamps import coarse_text, wild_rows
 from slipmap.models.measurements.importing.text_tables import seconds
 from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
@@ -89,10 +91,16 @@ def mapped(source: Source, name: str, channel: ChannelSetup, own: bool = True) -
     Raises:
         DatasetError: missing or non-numeric columns, no clock, or no rows.
     """
-    time, concluded = times(source, channel)
+    time, concluded, wild = _stamps(source, channel)
     done = [concluded] if concluded else []
     height = np.zeros(0)
     doubts: list[str] = []
+    if len(wild):
+        rows = parsing.listed([str(row + source.first_row) for row in wild])
+        doubts.append(
+            f"{source.where}: the stamps of {len(wild)} of {len(time)} rows are far from those before and"
+            f" after them; left out: rows {rows}"
+        )
     up = channel.up or source.up
     if name == "ft_wrench":
         values = _force(source, channel, up)
@@ -176,8 +184,22 @@ def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tupl
     return columns
 
 
-def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
-    """(T,) stamps of the rows, s, and a remark on how they were read. Raises DatasetError without a clock."""
+def times(source: Source, channel: ChannelSetup) -> FloatArray:
+    """(T,) stamps of the rows, s, NaN where missing or wrong. Raises DatasetError without a clock."""
+    return _stamps(source, channel)[0]
+
+
+def _stamps(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str, NDArray[np.int_]]:
+    """(T,) stamps of the rows, s, a remark on how they were read, and the rows whose stamps are wrong."""
+    time, concluded = _read_stamps(source, channel)
+    if len(wild := wild_rows(time)):
+        time = time.copy()
+        time[wild] = np.nan
+    return time, concluded, wild
+
+
+def _read_stamps(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+    """(T,) stamps of the rows, s, as recorded, and a remark on how they were read."""
     unit = channel.unit.get("time")
     if channel.rate is not None:
         frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))
@@ -390,8 +412,10 @@ def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
     again = np.diff(rows[:, 0]) <= 1e-9
     if again.any():
+        coarse = coarse_text(rows[:, 0], rows[:, 1:])
         found.append(
             f"{int(again.sum())} of {len(rows)} rows of {name} have the stamp of the row before; left out"
+            + (f". {coarse[0].upper()}{coarse[1:]}" if coarse else "")
         )
         rows = rows[np.append(True, ~again)]
     return rows, found

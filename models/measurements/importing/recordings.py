@@ -130,7 +130,7 @@ def import_dataset(
         for label, step in dict.fromkeys(one.steps):
             done.setdefault(step, []).append(label)
     parts = len({label for one in read.values() for label in one.labels})
-    warnings = parsing.grouped(warnings)
+    warnings = parsing.grouped(warnings, parsing.NUMBER)
     trials = _with_roles([trial for one in read.values() for trial in one.trials], said.heldout, where)
     kept, doubts = check_trials(said.setup, in_order(trials), where)
     provenance = (
@@ -352,7 +352,7 @@ def _parts_without_numbers(
 
 def _cut_at_new_starts(source: Source, channel: ChannelSetup) -> list[NDArray[np.int_]]:
     """The rows of a table, cut where stamps go back to the start."""
-    return np.split(np.arange(len(source)), _new_starts(times(source, channel)[0]))
+    return np.split(np.arange(len(source)), _new_starts(times(source, channel)))
 
 
 def _cut_where_stamps_start_anew(
@@ -461,7 +461,14 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
             trial, text = _turned(trial, said)
             steps.append(text)
     pushes, cuts = cut_at_carries(setup, [trial], name)
-    steps += ["cut where the object is carried while the finger is away"] if cuts else []
+    if cuts:
+        carried = any("while the finger is away" in text for text in cuts)
+        why = (
+            "the object is carried while the finger is away"
+            if carried
+            else "nothing was recorded for a while"
+        )
+        steps.append(f"cut where {why}")
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
