@@ -56,7 +56,8 @@ def trial_from_tables(
         if required not in tables:
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
     pose, rows = _channel(tables, "object_pose", where)
-    warnings = _degrees(pose, where)
+    placed, _, _ = sound_rows(pose.time, pose.values[:, :2])  # -9999 for an angle is none
+    warnings = _degrees(Channel(pose.time[placed], pose.values[placed]), where)
     if not warnings:  # of angles in degrees, an apparent half turn may be half a degree
         pose, warnings = _sound(pose, rows, f"{where}, object_pose")
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
