@@ -88,12 +88,12 @@ def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]
     for last in np.flatnonzero((step > _JUMP) & np.append(False, same[:-1])).tolist():
         moving = np.flatnonzero(~same[:last])
         first = int(moving[-1]) + 1 if len(moving) else 0  # the row that is repeated
-        before = first - _MOST_ROWS
-        if last - first < _FEWEST_REPEATS or before < 0:
+        ends = (first - _MOST_ROWS, first), (last + 1, last + 1 + _MOST_ROWS)
+        if last - first < _FEWEST_REPEATS or ends[0][0] < 0 or ends[1][1] >= len(time):
             continue
-        speed = float(np.hypot(*(values[first] - values[before])[:2])) / (time[first] - time[before])
-        led = speed * (time[last + 1] - time[first])
-        if led / _FASTER < step[last] < _FASTER * led:
+        speeds = [float(np.hypot(*(values[b] - values[a])[:2]) / (time[b] - time[a])) for a, b in ends]
+        jumped = step[last] / (time[last + 1] - time[first])
+        if max(jumped, *speeds) < _FASTER * min(jumped, *speeds):
             yield np.arange(first + 1, last + 1)
 
 

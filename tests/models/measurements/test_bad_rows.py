@@ -150,4 +150,4 @@ def test_rest_is_no_repeat():
     resting[time < 4.1] = resting[0]
     put = np.where(time[:, None] < 6.0, [0.0, 0.0, 0.0], [0.05, 0.0, 0.0])
     for values in (resting, put):
-        assert sound_rows(time, values + [0.3, -0.2, 0.1])[0].all()
+        assert sound_rows(time, values + np.array([0.3, -0.2, 0.1]))[0].all()
