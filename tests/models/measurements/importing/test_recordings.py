@@ -111,6 +111,19 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
 
 
+def test_rotations_beside_positions_are_no_positions(tmp_path):
+    """As in an export of Vicon, where RX, RY, RZ stand before TX, TY, TZ."""
+    zero = np.zeros(len(TIME))
+    columns = [TIME, zero, zero, POSE[:, 2], POSE[:, :2], zero]
+    said = yaml.safe_load(
+        guess_setup(written(tmp_path / "p.csv", ["t", "rx", "ry", "rz", "x", "y", "z"], columns))
+    )
+    assert said["object_pose"]["position"] == ["x", "y", "z"]
+    assert said["object_pose"]["rotation_vector"] == ["rx", "ry", "rz"]
+    named = written(tmp_path / "q.csv", ["t", "rx", "ry", "rz"], [*columns[:2], POSE[:, :2]])
+    assert yaml.safe_load(guess_setup(named))["object_pose"]["position"] == ["rx", "ry", "rz"]
+
+
 def test_an_axis_may_stand_before_what_moves(tmp_path):
     columns = [TIME, POSE[:, :2], POSE[:, 2], TIP, np.zeros((len(TIME), 2))]
     names = ["t", "x_box", "y_box", "yaw_box", "x_pusher", "y_pusher", "x_rate", "y_rate"]
