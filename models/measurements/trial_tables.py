@@ -75,9 +75,11 @@ def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> No
     """Raise DatasetError if a push lasts longer than `longest` s."""
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:
+        step = float(np.median(np.diff(pose.time)))
+        likely = "milliseconds" if step < 1e3 else "microseconds" if step < 1e6 else "nanoseconds"
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
-            " times must be in s; were these milliseconds? Cut a long recording into its pushes"
+            f" times must be in s; were these {likely}? Cut a long recording into its pushes"
         )
 
 

@@ -266,9 +266,15 @@ def _pose(
         theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
+            asked = "is `up` right, and does the tracked frame lie flat?"
+            if _lies_flat_with_w_first(turns[known], whole, to_table):
+                asked = (
+                    "it would lie flat if the quaternion were w, x, y, z; list its columns in the"
+                    " order x, y, z, w"
+                )
             doubts.append(
                 f"{source.where}: the object's frame is tilted by {np.degrees(np.median(tilt)):.0f}° relative"
-                " to the table; is `up` right, and does the tracked frame lie flat?"
+                f" to the table; {asked}"
             )
     elif turn is not None:
         down = _looks_down(frame, f"{source.where}: {name}") != up.startswith("-")
@@ -280,6 +286,15 @@ def _pose(
     values = np.column_stack([place[:, :2], theta])
     height = place[:, 2] if known_height else np.full(len(place), np.nan)
     return _offset_taken_off(values, channel, name, axes), height, doubts
+
+
+def _lies_flat_with_w_first(turns: FloatArray, whole: FloatArray, to_table: FloatArray) -> bool:
+    """Whether rotations (T, 3, 3) leave the object flat if w of their quaternions was read as x."""
+    from scipy.spatial.transform import Rotation
+
+    read = Rotation.from_matrix(turns).as_quat()
+    matrices = whole @ Rotation.from_quat(read[:, [1, 2, 3, 0]]).as_matrix() @ to_table.T
+    return bool(np.median(matrices[:, 2, 2]) > np.cos(_LEVEL))
 
 
 def _turns(

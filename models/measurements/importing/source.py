@@ -31,7 +31,7 @@ MOST_CELLS = 2**24
 Column = FloatArray | Sequence[str]
 """(T,) numbers, NaN where missing; or texts as in the file."""
 
-NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
+NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing", "nat"})
 """Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
