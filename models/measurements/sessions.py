@@ -151,11 +151,11 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
     return result, warnings
 
 
-def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
+def cut_at_rests(setup: Setup, trial: Trial, longest: float = np.inf) -> list[Trial]:
     """Cut a recording of several pushes where the object rests and the finger leaves it between two motions.
 
     Each push begins half a second before the object moves, ends half a second after, and is named name#1 and
-    so on. A recording of one push is returned unchanged.
+    so on. A recording of one push is returned unchanged, if it does not last longer than `longest` s.
     """
     runs = _motions(setup, trial, *_SLOW) if trial.finger_near(setup.reach) else []
     pose, reach = trial.object_pose, setup.reach
@@ -171,7 +171,7 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
         for first, last in pushes
         if float(np.max(_displacement(pose.values[first : last + 1], pose.values[first], reach))) > _PUSHED
     ]
-    if len(pushes) < 2:
+    if not pushes or (len(pushes) < 2 and pose.time[-1] - pose.time[0] <= longest):
         return [trial]
     between = [0.5 * (pose.time[one[1]] + pose.time[two[0]]) for one, two in pairwise(pushes)]
     found = []
@@ -183,6 +183,8 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
         )
         if piece is not None:
             found.append(piece)
+    if len(found) < 2:
+        return found
     return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
 
 

@@ -16,7 +16,7 @@ COLUMNS = 4
 
 _LARGEST_VALUE = 1e6  # m, rad, N
 _LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
-_LONGEST_PUSH = 1000.0  # s
+LONGEST_PUSH = 1000.0  # s
 _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
 
@@ -33,7 +33,7 @@ def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
 
 
 def trial_from_tables(
-    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = _LONGEST_PUSH
+    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = LONGEST_PUSH
 ) -> tuple[Trial, list[str]]:
     """Build a trial from the tables `object_pose`, `tip_pose` and, if measured, `ft_wrench`.
 
@@ -71,7 +71,7 @@ def trial_from_tables(
     return Trial(name, role, pose, tip, wrench), warnings
 
 
-def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> None:
+def refuse_long(pose: Channel, where: str, longest: float = LONGEST_PUSH) -> None:
     """Raise DatasetError if a push lasts longer than `longest` s."""
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:

@@ -14,7 +14,7 @@ from slipmap.models.geometry import compose
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
-from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.source import Source, names_in
 from slipmap.models.measurements.importing.stamps import coarse_text, wild_rows
 from slipmap.models.measurements.importing.text_tables import seconds
 from slipmap.models.measurements.trial import DatasetError
@@ -53,6 +53,7 @@ _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is 
 _STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
+_APART, _JUMPING, _FEWEST_ROWS = 0.01, 0.2, 20  # m, share of the rows, and rows, that jump to and fro
 _LIFTED = 0.01  # m above the finger's pushing height
 
 _TO_TABLE = {
@@ -116,6 +117,8 @@ def mapped(source: Source, name: str, channel: ChannelSetup, own: bool = True) -
         lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
         if len(lifted):
             done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger counts as not touching")
+    if name != "ft_wrench":
+        _refuse_several_bodies(table, source, name)
     table, order = _in_order(table, name)
     doubts += [f"{source.where}: {text}" for text in order]
     if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
@@ -411,6 +414,23 @@ def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
 
 
 # Rows.
+
+
+def _refuse_several_bodies(table: FloatArray, source: Source, name: str) -> None:
+    """Raise DatasetError if a large share of the rows (T, 4) jump to and fro: poses of different bodies."""
+    place = table[np.isfinite(table[:, 1:3]).all(axis=1), 1:3]
+    step = np.diff(place, axis=0)
+    jumps = np.hypot(*step.T) > _APART
+    back = jumps[1:] & jumps[:-1] & ((step[1:] * step[:-1]).sum(axis=1) < 0.0)
+    if len(place) < _FEWEST_ROWS or back.sum() < _JUMPING * len(place):
+        return
+    apart = float(np.median(np.hypot(*step[jumps].T)))
+    words = names_in(source)
+    parts = f"`part`, one of {parsing.listed(words)}" if words else "each body in a table of its own"
+    raise DatasetError(
+        f"{source.where}: {name} jumps to and fro by {apart:.2g} m from row to row; if the rows are of"
+        f" several bodies, give {parts}"
+    )
 
 
 def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:

@@ -31,15 +31,14 @@ from slipmap.models.measurements.importing.import_setup import (
     parse_import_setup,
 )
 from slipmap.models.measurements.importing.mapping import is_there, mapped, times
-from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.source import Source, names_in, rows_named
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import PushDataset
-from slipmap.models.measurements.reading import last_held_out, object_document
+from slipmap.models.measurements.reading import IMPORTED, last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
-from slipmap.models.measurements.trial_tables import refuse_long, trial_from_tables
-from slipmap.models.measurements.writing import IMPORTED
+from slipmap.models.measurements.trial_tables import LONGEST_PUSH, refuse_long, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
@@ -238,14 +237,16 @@ class _Files:
             found = [table for table in tables if table.part.strip("/").lower() == wanted]
             if not found:
                 found = [t for t in tables if t.part.strip("/").lower().split(":")[-1] == wanted]
+            if not found and len(tables) == 1:
+                found = rows_named(tables[0], channel.part)
         else:
             found = tables
         if len(found) == 1 or (found and not channel.part and len(tables) == 1):
             return found[0]
-        parts = parsing.listed([table.part for table in tables])
+        parts = parsing.listed([table.part for table in tables if table.part] or names_in(tables[0]))
         if channel.part:
             raise DatasetError(
-                f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts}"
+                f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts or 'none'}"
             )
         raise DatasetError(f"{tables[0].file}: has several parts; name one with `part`: {parts}")
 
@@ -502,7 +503,7 @@ def _one_clock(
             else "nothing was recorded for a while"
         )
         steps.append(f"cut where {why}")
-    parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
+    parted = [piece for push in pushes for piece in cut_at_rests(setup, push, LONGEST_PUSH)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]

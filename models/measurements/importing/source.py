@@ -138,6 +138,28 @@ class Source:
         return replace(self, columns=columns, time=time)
 
 
+def rows_named(table: Source, name: str) -> list[Source]:
+    """The rows of a table of several bodies, one below the other, in which a column holds a body's name."""
+    found = []
+    for cells in table.columns.values():
+        if not isinstance(cells, np.ndarray):
+            rows = np.flatnonzero([cell.strip() == name for cell in cells])
+            if 0 < len(rows) < len(cells):
+                found.append(replace(table.chosen(rows), part=name))
+    return found
+
+
+def names_in(table: Source) -> list[str]:
+    """The words by which rows of a table of several bodies may be told apart; empty if there are none."""
+    for cells in table.columns.values():
+        if isinstance(cells, np.ndarray):
+            continue
+        words = list(dict.fromkeys(cell.strip() for cell in cells))
+        if 1 < len(words) <= _MOST_NAMED and all(word[:1].isalpha() for word in words):
+            return sorted(words)
+    return []
+
+
 def _with_point(cell: str) -> str:
     """A number with a decimal comma, written with a point; points between thousands are left out."""
     if "." in cell and not _WITH_THOUSANDS.fullmatch(cell.strip()):

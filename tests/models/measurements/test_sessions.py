@@ -8,7 +8,7 @@ import pytest
 from straight_pushes import reread, straight_pushes
 
 from slipmap.models.measurements import Channel, DatasetError, read_dataset
-from slipmap.models.measurements.sessions import cut_at_carries
+from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.setup_description import setup_document
 
 CARRY = 1.5  # s
@@ -135,6 +135,23 @@ def test_a_pause_in_which_nothing_moves_is_no_cut():
     slow = replace(push, object_pose=blind, tip_pose=Channel(time, push.tip_pose.values), ft_wrench=None)
     for trial in (waits, slow):
         assert cut_at_carries(setup, [trial], "push.csv") == ([trial], [])
+
+
+def test_a_long_rest_before_a_push_is_cut_off():
+    push = straight_pushes(1).trials[0]
+    waits = np.arange(-1200.0, 0.0)
+    channels = [
+        Channel(
+            np.concatenate([waits, channel.time]),
+            np.concatenate([np.tile(channel.values[0], (1200, 1)), channel.values]),
+        )
+        for channel in (push.object_pose, push.tip_pose)
+    ]
+    long = replace(push, object_pose=channels[0], tip_pose=channels[1], ft_wrench=None)
+    (kept,) = cut_at_rests(straight_pushes(1), long, longest=1000.0)
+    assert kept.name == push.name
+    assert -2.0 < kept.object_pose.time[0] < 0.05 and kept.object_pose.time[-1] > 1.0
+    assert cut_at_rests(straight_pushes(1), long) == [long]
 
 
 def test_an_object_that_slides_on_is_not_carried(tmp_path):
