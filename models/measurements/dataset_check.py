@@ -262,7 +262,7 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     found = []
     for what, words in (
         ("flips", ("theta turns", "jumps")),
-        ("poses of an unseen object", ("is exactly", "stands at one place", "repeats the pose")),
+        ("zeros", ("is exactly", "stands at one place", "repeats the pose")),
         ("stamps", ("go back", "have the stamp of the row before", "are far from those")),
     ):
         named = [text for text in texts if any(word in text for word in words)]
