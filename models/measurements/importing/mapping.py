@@ -53,7 +53,8 @@ _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is 
 _STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
-_APART, _JUMPING, _FEWEST_ROWS = 0.01, 0.2, 20  # m, share of the rows, and rows, that jump to and fro
+_APART, _JUMPING, _FEWEST_ROWS = 0.01, 0.2, 50  # m, share of the rows, and rows, that jump to and fro
+_RETURNS = 0.1  # of the jump, by which a body is elsewhere when its next row comes
 _LIFTED = 0.01  # m above the finger's pushing height
 
 _TO_TABLE = {
@@ -417,20 +418,25 @@ def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
 
 
 def _refuse_several_bodies(table: FloatArray, source: Source, name: str) -> None:
-    """Raise DatasetError if a large share of the rows (T, 4) jump to and fro: poses of different bodies."""
+    """Raise DatasetError if the rows (T, 4) of a table with names jump to and fro between places to which
+    they return, as poses of different bodies do. Noise, in whatever unit, does not return so exactly."""
     place = table[np.isfinite(table[:, 1:3]).all(axis=1), 1:3]
-    step = np.diff(place, axis=0)
-    jumps = np.hypot(*step.T) > _APART
-    back = jumps[1:] & jumps[:-1] & ((step[1:] * step[:-1]).sum(axis=1) < 0.0)
-    if len(place) < _FEWEST_ROWS or back.sum() < _JUMPING * len(place):
-        return
-    apart = float(np.median(np.hypot(*step[jumps].T)))
     words = names_in(source)
-    parts = f"`part`, one of {parsing.listed(words)}" if words else "each body in a table of its own"
-    raise DatasetError(
-        f"{source.where}: {name} jumps to and fro by {apart:.2g} m from row to row; if the rows are of"
-        f" several bodies, give {parts}"
-    )
+    if len(place) < _FEWEST_ROWS or not words:
+        return
+    step = np.hypot(*np.diff(place, axis=0).T)
+    jumps = step > _APART
+    apart = float(np.median(step[jumps])) if jumps.any() else 0.0
+    later = range(2, 2 * len(words) + 1)
+    returns = [
+        np.hypot(*(place[lag : len(place) - later[-1] + lag] - place[: -later[-1]]).T) for lag in later
+    ]
+    left = float(np.median(np.min(returns, axis=0)))
+    if jumps.sum() > _JUMPING * len(place) and left < _RETURNS * apart:
+        raise DatasetError(
+            f"{source.where}: {name} jumps to and fro by {apart:.2g} m from row to row; if the rows are of"
+            f" several bodies, give `part`, one of {parsing.listed(words)}"
+        )
 
 
 def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:

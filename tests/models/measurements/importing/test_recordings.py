@@ -516,6 +516,22 @@ def test_bodies_below_one_another_are_told_apart_by_their_names(tmp_path):
             import_dataset(file, tmp_path / "s.yaml")
 
 
+def test_noise_in_a_wrong_unit_makes_no_bodies(tmp_path):
+    """Of poses in 0.1 mm that are read as m, beside a column of words."""
+    rng = np.random.default_rng(0)
+    pose = 1e4 * POSE + rng.normal(0.0, 2.0, POSE.shape) * [1.0, 1.0, 0.0]
+    words = np.where(TIME < 0.4, "rest", "push")
+    lines = [f"{now:.3f},{word},{x},{y},{z}" for now, word, (x, y, z) in zip(TIME, words, pose, strict=True)]
+    file = tmp_path / "p.csv"
+    file.write_text("t,phase,x,y,theta\n" + "\n".join(lines) + "\n")
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {position: [x, y], angle: theta}\ntip_pose: null\n"
+    )
+    told: list[str] = []
+    import_dataset(file, tmp_path / "s.yaml", tell=told.append)
+    assert any("are positions in m" in text for text in told)
+
+
 def test_equal_pushes_of_one_file_are_imported_and_read(tmp_path):
     """As of a simulation: what an import writes, other commands can read."""
     number = np.repeat([0.0, 1.0, 2.0], len(TIME))
