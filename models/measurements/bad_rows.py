@@ -1,5 +1,5 @@
-"""Tracker rows that cannot be true: exact zeros while the object is elsewhere, as receivers publish for what
-they do not see, and jumps or flips that the next rows undo.
+"""Tracker rows that cannot be true: exact zeros or another code while the object is elsewhere, as receivers
+publish for what they do not see, and jumps or flips that the next rows undo.
 
 Otherwise a single pose flipped by half a turn would shift every later row by a whole turn when angles are
 unwrapped.
@@ -21,6 +21,7 @@ _MOST_SHARE = 0.1  # as a share of the rows
 _END_ROWS = 2  # longest jump at an end of the record, where nothing comes back
 _END_FACTOR = 3.0  # such a jump must be larger by this factor
 _BLIND = 0.2  # s without a row, after which the object may be anywhere
+_FEWEST_REPEATS = 3  # of a pose
 _FEWEST_ROWS = 6  # fewer rows cannot be judged
 
 
@@ -39,9 +40,16 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
     found: dict[str, list[int]] = {}
     if len(time) < _FEWEST_ROWS:
         return kept, found, ""
-    for run in _zero_runs(values):
+    for run in _code_runs(values):
         kept[run] = False
-        found.setdefault("is exactly zero while the rows around it are not", []).extend(run.tolist())
+        code = float(values[run[0], 0])
+        words = f"is exactly {'zero' if code == 0.0 else f'{code:g}'} while the rows around it are not"
+        found.setdefault(words, []).extend(run.tolist())
+    rows = np.flatnonzero(kept)
+    for run in _repeats(time[rows], values[rows]):
+        kept[rows[run]] = False
+        words = "repeats the pose before, while the object moves on as the next pose shows"
+        found.setdefault(words, []).extend(rows[run].tolist())
     rows = np.flatnonzero(kept)
     jumps, stays = _jumps(time[rows], values[rows])
     for run, words in jumps:
@@ -54,19 +62,39 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
     return kept, found, complaint
 
 
-def _zero_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
-    """Runs of zero rows whose neighbours on both sides lie elsewhere."""
-    zero = np.flatnonzero((values == 0.0).all(axis=1))
-    if not 0 < len(zero) < len(values) - 1:
+def _code_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
+    """Runs of rows with one number in all columns, such as 0, if the rows on both sides lie elsewhere."""
+    alike = np.flatnonzero((values == values[:, :1]).all(axis=1))
+    if not 0 < len(alike) < len(values) - 1:
         return
-    for run in np.split(zero, np.flatnonzero(np.diff(zero) > 1) + 1):
+    codes = values[alike, 0]
+    for run in np.split(alike, np.flatnonzero((np.diff(alike) > 1) | (np.diff(codes) != 0.0)) + 1):
         beside = [(row, row + side) for row, side in ((run[0] - 1, -1), (run[-1] + 1, 1))]
         inside = [(row, next_) for row, next_ in beside if 0 <= row < len(values)]
-        away = [_apart(values[row], 0.0 * values[row]) for row, _ in inside]
+        away = [_apart(values[row], values[run[0]]) for row, _ in inside]
         if all(step.max() > 1.0 for step in away) and (
             len(inside) > 1 or _sudden(away[0], _step(values, *inside[0]))
         ):
             yield run
+
+
+def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]:
+    """Runs of rows equal to the one before, after which the record jumps to where the motion led meanwhile.
+
+    Some trackers publish the last pose as long as they do not see the object.
+    """
+    same = (values[1:] == values[:-1]).all(axis=1)
+    step = np.hypot(*(values[1:, :2] - values[:-1, :2]).T)
+    for last in np.flatnonzero((step > _JUMP) & np.append(False, same[:-1])).tolist():
+        moving = np.flatnonzero(~same[:last])
+        first = int(moving[-1]) + 1 if len(moving) else 0  # the row that is repeated
+        ends = (first - _MOST_ROWS, first), (last + 1, last + 1 + _MOST_ROWS)
+        if last - first < _FEWEST_REPEATS or ends[0][0] < 0 or ends[1][1] >= len(time):
+            continue
+        speeds = [float(np.hypot(*(values[b] - values[a])[:2]) / (time[b] - time[a])) for a, b in ends]
+        jumped = step[last] / (time[last + 1] - time[first])
+        if max(jumped, *speeds) < _FASTER * min(jumped, *speeds):
+            yield np.arange(first + 1, last + 1)
 
 
 def _sudden(step: FloatArray, next_: FloatArray) -> bool:
@@ -99,6 +127,7 @@ def _jumps(
     large = (step > 1.0) & (speed > _FASTER * usual) & ~blind[:, None]
     steps = np.flatnonzero(large.any(axis=1))
     longest = max(_MOST_ROWS, int(_MOST_SHARE * len(time)))
+    held = (values[1:, :2] == values[:-1, :2]).all(axis=1)  # as a tracker that lost the object may do
     jumps: list[tuple[NDArray[np.int_], str]] = []
     stays: list[tuple[int, str]] = []
     done = -1
@@ -106,12 +135,16 @@ def _jumps(
         if first <= done:
             continue
         for last in steps[place + 1 :].tolist():
-            if last - first > longest:
+            stands = bool(held[first + 1 : last].all())
+            if last - first > longest and not stands:
                 break
             # Meanwhile the object may have moved on at its usual speed.
             allowed = np.maximum(1.0, _FASTER * usual * (time[last + 1] - time[first])) / 2.0
             if (_apart(values[last + 1], values[first]) < allowed).all():
-                jumps.append((np.arange(first + 1, last + 1), _words(step[first], "and comes back")))
+                words = _words(step[first], "and comes back")
+                if stands and last > first + 1:
+                    words = "stands at one place, away from the rows around"
+                jumps.append((np.arange(first + 1, last + 1), words))
                 done = last
                 break
         else:

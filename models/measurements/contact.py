@@ -39,6 +39,7 @@ _LARGEST_LAG = 0.15  # s
 _MOST_OF_RADIUS = 0.8  # largest share of the stated radius by which a finger can be thinner
 _GAIN, _GAIN_UNSIZED = 0.6, 0.75  # share of the misfit that may be left, with and without a fitted size
 _LEAST_GAIN = 5e-4  # m
+_MOST_LEFT = 5e-3  # m of misfit that a correction may leave
 _AS_GOOD = 1.2  # times the least misfit, accepted for a simpler cause
 
 _OFF_NORMAL = np.pi / 3.0  # beyond any friction of a finger
@@ -206,7 +207,8 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
     If the finger is deep in only one push, only causes without a fitted size count; others fit anything.
     """
     places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
-    thinned = [_thinned(pushes[place]) for place in places]
+    all_rows = [pushes[place] for place in places]
+    thinned = [_thinned(rows) for rows in all_rows]
     thinned = [rows for rows in thinned if len(rows.time)]
     if not thinned:
         return None
@@ -217,9 +219,23 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
         if deep < 2 and cause.kind in _SIZED:
             continue
         needed = _GAIN if cause.kind in _SIZED else _GAIN_UNSIZED
-        if misfit <= _AS_GOOD * least + 1e-4 and misfit < min(needed * before, before - _LEAST_GAIN):
+        explains = misfit < min(needed * before, before - _LEAST_GAIN, _MOST_LEFT)
+        if explains and misfit <= _AS_GOOD * least + 1e-4 and _touches(setup, all_rows, cause):
             return cause
     return None
+
+
+def _touches(setup: Setup, pushes: Sequence[ContactRows], cause: Cause) -> bool:
+    """Whether, with a correction, the finger is at the object while it moves, in most of the pushes; where
+    noise hides the motion, at any time.
+
+    A correction that takes the finger far away makes it go nowhere deep either.
+    """
+    apart = []
+    for rows in pushes:
+        gap = np.abs(cause.applied(setup, rows))
+        apart.append(float(np.median(gap[rows.pressed]) if rows.pressed.any() else np.min(gap)))
+    return float(np.median(apart)) < _LARGEST_GAP
 
 
 def _thinned(rows: ContactRows) -> ContactRows:

@@ -36,12 +36,14 @@ from slipmap.models.measurements.importing.clocks import (
 )
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset
+from slipmap.models.measurements.reading import IMPORTED
 from slipmap.models.measurements.rim_checks import beyond_table
 from slipmap.models.measurements.trial import Trial
 from slipmap.models.measurements.trial_checks import (
     impossible,
     jittering,
     never_near,
+    nothing_pushed,
     odd_for_weight,
     pushing_force,
     too_strong,
@@ -56,7 +58,6 @@ from slipmap.models.measurements.what_pushes_show import (
     pushes_to_add,
     quantities_shown,
 )
-from slipmap.models.measurements.writing import IMPORTED
 
 Verdict = Literal["good", "note", "wrong"]
 
@@ -260,8 +261,8 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
     found = []
     for what, words in (
         ("flips", ("theta turns", "jumps")),
-        ("zeros", ("exactly zero",)),
-        ("stamps", ("go back", "have the stamp of the row before")),
+        ("zeros", ("is exactly", "stands at one place", "repeats the pose")),
+        ("stamps", ("go back", "have the stamp of the row before", "are far from those")),
     ):
         named = [text for text in texts if any(word in text for word in words)]
         found.append(
@@ -452,6 +453,11 @@ def _lag_of_finger(
     close = several and spread < _CLOSE_SPREAD
     if cause is not None and (cause.kind in FRAME_WRONG or (cause.kind != "lag" and not close)):
         return Finding(what, found if cause.kind == "radius" else text, "note", cause.text)
+    air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
+    if air and float(np.median(air)) > 2.0 * (
+        apart + CALIBRATION_ERROR
+    ):  # a lag leaves as much air as it moves
+        return Finding(what, text, "note", _NO_COMMON_LAG)
     if cause is None and len(lags) < _LEAST_SHARE * pushes:
         return Finding(what, f"{text}, from only {len(lags)} of {pushes} pushes", "note")
     if cause is None and spread > _LARGEST_SPREAD:
@@ -522,6 +528,10 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         return [Finding("contact", away[0], "wrong", away[1])]
     if not rows:
         return [Finding("contact", "no finger comes within 1 m of the object", "note")]
+    if nothing_pushed(dataset, dataset.trials):
+        found = "no object moves, and no finger reaches one in any push"
+        asked = "are the units and frames of object_pose and tip_pose right?"
+        return [Finding("contact", found, "wrong", asked)]
     depth = np.array([one.depth for one in rows])
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
     deep = depth > [one.allowed for one in rows]

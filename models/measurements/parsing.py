@@ -27,7 +27,8 @@ _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz a
 _LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 _DEEPEST_YAML = 50
 _MOST_FAULTS = 40  # in one message
-_NUMBER = r"\d+(\.\d+)?"
+NUMBER = r"-?\d+(\.\d+)?(e[-+]\d+)?"
+"""Pattern of a number in a message."""
 _LONGEST_NAME = 250  # characters up to which a path is given in full
 
 
@@ -145,7 +146,7 @@ class Fingerprint:
 
 def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
     """One error with everything that is wrong with some of `count` files or recordings (`what`)."""
-    unique = grouped(faults, _NUMBER)
+    unique = grouped(faults, NUMBER)
     if len(set(faults)) == 1:
         return DatasetError(faults[0])
     more = f"; and {len(unique) - _MOST_FAULTS} more" if len(unique) > _MOST_FAULTS else ""

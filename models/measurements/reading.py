@@ -26,6 +26,8 @@ from slipmap.models.progress import StageProgress
 from slipmap.models.settings import check_kind, check_whole
 
 FORMAT = "push-dataset/1"
+IMPORTED = "imported from "
+"""Start of the sentence of provenance with which every imported dataset begins."""
 DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
 Reader = Callable[[str, Role, bytes, str], tuple[list[Trial], list[str]]]
@@ -259,6 +261,7 @@ def _assembled(
     progress: StageProgress | None,
     keep: Callable[[Trial], bool | None],
     assign: Callable[[list[Trial]], list[Trial]] | None = None,
+    imported: bool = False,
 ) -> PushDataset:
     """Assemble a dataset from files in a folder, each read from its name, role, content and path.
 
@@ -288,7 +291,7 @@ def _assembled(
     if assign is not None:
         trials = assign(trials)
     trials = list(in_order(trials))  # before the checks leave some out
-    trials, doubts = check_trials(setup, trials, str(source), keep)
+    trials, doubts = check_trials(setup, trials, str(source), keep, imported)
     trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
     warnings += _gathered(found) + doubts
     return PushDataset(
@@ -331,15 +334,17 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
     fingerprint.add(DESCRIPTION_FILE, content)
     entries, forced, orders = _entries(document, description.parent, where, warnings)
     folder = description.parent
+    told = document.get("provenance") or []
+    if not isinstance(told, list):
+        raise DatasetError(f"{where}: provenance must be a list of sentences, got {parsing.shown(told)}")
+    provenance = tuple(parsing.text(one, f"{where}: provenance") for one in told)
     dataset = _assembled(
         setup, fingerprint, warnings, description, folder, entries,
         _one(partial(_read_record, orders)), progress,
         keep=lambda trial: forced.get(trial.name, True if keep_all else None),
+        imported=any(text.startswith(IMPORTED) for text in provenance),
     )  # fmt: skip
-    told = document.get("provenance") or []
-    if not isinstance(told, list):
-        raise DatasetError(f"{where}: provenance must be a list of sentences, got {parsing.shown(told)}")
-    return replace(dataset, provenance=tuple(parsing.text(one, f"{where}: provenance") for one in told))
+    return replace(dataset, provenance=provenance)
 
 
 def _entries(

@@ -1,4 +1,5 @@
-"""Cut recordings of a whole session: an object that moves while the finger is away was carried by someone."""
+"""Cut recordings of a whole session: an object that moves while the finger is away was carried by someone,
+and where nothing was recorded for a while, anything may have happened."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,7 @@ _SPEED = 0.015  # m/s above which the object does not rest
 _WINDOW = 0.1  # s
 _PAUSE = 0.1  # s of rest between two motions
 _BLIND = 0.2  # s without a pose; a motion in such a gap counts separately
+_SILENT, _SILENT_ROWS = 1.0, 20.0  # s, and usual steps, without a row of finger or object
 _FEWEST_ROWS = 6  # in a push
 _PUSHED = 2e-3  # m that the object moves in a push
 _SLOW = (3e-3, 0.3)  # speed, m/s, and window, s, that distinguish a slow push from rest
@@ -54,6 +56,26 @@ def carries(setup: Setup, trial: Trial) -> list[Carry]:
     return found
 
 
+def silences(setup: Setup, trial: Trial) -> list[Carry]:
+    """Pauses of over a second without a row of object or finger, after which one of them is elsewhere."""
+    if trial.ends_only or not trial.finger_near(setup.reach):
+        return []
+    pose, tip = trial.object_pose.time, trial.tip_pose.time
+    stamps = np.sort(np.concatenate([pose, tip]))
+    least = max(_SILENT, _SILENT_ROWS * float(np.median(np.diff(pose))))
+    found = []
+    for place in np.flatnonzero(np.diff(stamps) > least):
+        last = int(np.searchsorted(pose, stamps[place + 1]))
+        if not 0 < last < len(pose):
+            continue
+        before, after = trial.object_pose.values[last - 1], trial.object_pose.values[last]
+        moved = float(_displacement(before, after, setup.reach))
+        finger = float(np.hypot(*np.diff(trial.tip_pose.at(stamps[[place, place + 1]]), axis=0)[0, :2]))
+        if moved > _PUSHED + 4.0 * setup.noise_of_motion or finger > _LEAVES:
+            found.append(Carry(last - 1, last, moved, float(stamps[place])))
+    return found
+
+
 def _motions(
     setup: Setup, trial: Trial, speed: float = _SPEED, window: float = _WINDOW
 ) -> list[tuple[int, int]]:
@@ -84,8 +106,20 @@ def carried_text(carry: Carry) -> str:
     return f"the object moves {carry.distance:.1g} m while the finger is away at t = {carry.time:.1f} s"
 
 
+def _overlap(one: Carry, other: Carry) -> bool:
+    return one.first < other.last and other.first < one.last
+
+
+def _silence_text(time: FloatArray, silence: Carry) -> str:
+    """Description of a pause of the recording, given the stamps of the poses."""
+    return (
+        f"there are no rows of object and finger for {time[silence.last] - silence.time:.3g} s from"
+        f" t = {silence.time:.1f} s on"
+    )
+
+
 def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
-    """Cut each trial where the object is carried, into pushes named file#1 and so on.
+    """Cut each trial where the object is carried or nothing was recorded, into pushes named file#1 and so on.
 
     Raises:
         DatasetError: nothing is left of a trial.
@@ -94,7 +128,9 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
     result: list[Trial] = []
     warnings = []
     for trial in trials:
-        found = carries(setup, trial)
+        carried, silent = carries(setup, trial), silences(setup, trial)
+        silent = [one for one in silent if not any(_overlap(one, other) for other in carried)]
+        found = sorted((*carried, *silent))
         if not found:
             result.append(trial)
             continue
@@ -103,22 +139,23 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         ends = [*(time[carry.first] for carry in found), time[-1]]
         pieces = [_between(trial, begin, end, reach) for begin, end in zip(begins, ends, strict=True)]
         pushes = [piece for piece in pieces if piece is not None]
+        text = carried_text(carried[0]) if carried else _silence_text(time, silent[0])
         if not pushes:
-            raise DatasetError(f"{where}: {carried_text(found[0])}; cut the recording into its pushes")
+            raise DatasetError(f"{where}: {text}; cut the recording into its pushes")
         warnings.append(
-            f"{where}: {carried_text(found[0])}"
+            f"{where}: {text}"
             + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
-            + f"; the recording was cut there into {len(pushes)} pushes"
+            + f"; the recording was cut there into {len(pushes)} push{'es' if len(pushes) > 1 else ''}"
         )
         result += [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings
 
 
-def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
+def cut_at_rests(setup: Setup, trial: Trial, longest: float = np.inf) -> list[Trial]:
     """Cut a recording of several pushes where the object rests and the finger leaves it between two motions.
 
     Each push begins half a second before the object moves, ends half a second after, and is named name#1 and
-    so on. A recording of one push is returned unchanged.
+    so on. A recording of one push is returned unchanged, if it does not last longer than `longest` s.
     """
     runs = _motions(setup, trial, *_SLOW) if trial.finger_near(setup.reach) else []
     pose, reach = trial.object_pose, setup.reach
@@ -134,7 +171,7 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
         for first, last in pushes
         if float(np.max(_displacement(pose.values[first : last + 1], pose.values[first], reach))) > _PUSHED
     ]
-    if len(pushes) < 2:
+    if not pushes or (len(pushes) < 2 and pose.time[-1] - pose.time[0] <= longest):
         return [trial]
     between = [0.5 * (pose.time[one[1]] + pose.time[two[0]]) for one, two in pairwise(pushes)]
     found = []
@@ -146,6 +183,8 @@ def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
         )
         if piece is not None:
             found.append(piece)
+    if len(found) < 2:
+        return found
     return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
 
 

@@ -37,6 +37,7 @@ _TOUCH_RADII = 3.0  # finger radii of air beyond which the finger did not touch
 _EARLY_END = 0.1  # s
 _SLOW_TIP = 5e-3  # m/s
 _THROUGH = 0.01  # m
+_FEWEST_FORCES = 3  # rows that show which way a force points
 _MOST_ROWS = 500  # of a track, compared with the outline
 _LONERS = 10  # one push in this many may be left out, at least one,
 _FEWEST_TRIALS = 5  # if there are at least this many
@@ -64,6 +65,7 @@ def check_trials(
     trials: Sequence[Trial],
     where: str,
     keep: Callable[[Trial], bool | None] = lambda trial: None,
+    imported: bool = False,
 ) -> tuple[list[Trial], list[str]]:
     """The trials that stay, and one warning per kind of fault, naming its trials.
 
@@ -72,6 +74,7 @@ def check_trials(
 
     Args:
         keep: True for a trial that stays whatever is found, False for one that goes, None to judge it.
+        imported: whether an import wrote the trials, which refuses equal files but not equal pushes in one.
 
     Raises:
         DatasetError: two equal files, channels without a common time, or pushes in which the object is
@@ -80,7 +83,7 @@ def check_trials(
     chosen = [trial for trial in trials if keep(trial) is not False]
     if not chosen:
         raise DatasetError(f"{where}: every trial says `keep: false`; at least one push is needed")
-    warnings = _copies(chosen, where)
+    warnings = _copies(chosen, where, imported)
     doubts = [(trial.name, fault) for trial in chosen for fault in _faults(setup, trial, where)]
     # A frozen tracker or degrees for rad are reported already; do not report their consequences.
     sound = [
@@ -147,6 +150,16 @@ def rounded(value: float, digits: int) -> str:
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
+def nothing_pushed(setup: Setup, trials: Sequence[Trial]) -> bool:
+    """Whether all objects rest, and all fingers, of which some come within 1 m, stay away from them."""
+    near = [trial for trial in trials if trial.finger_near(setup.reach)]
+    return (
+        bool(near)
+        and not any(_moved(setup, trial) for trial in trials)
+        and all(_clearance(setup, trial) > _NEVER_NEAR for trial in near)
+    )
+
+
 def pushing_force(setup: Setup, trials: Sequence[Trial]) -> float | None:
     """Median over the pushes of the force in a typical strong row, N; None where none was measured."""
     sizes = [
@@ -183,7 +196,7 @@ def odd_for_weight(setup: Setup, trials: Sequence[Trial]) -> OddForce | None:
     """What is odd if an object that was weighed is pushed with far less or more than friction needs; else
     None."""
     pushing = pushing_force(setup, trials)
-    if setup.mass is None or pushing is None:
+    if setup.mass is None or pushing is None or nothing_pushed(setup, trials):
         return None
     weight = setup.mass * setup.gravity
     forced = [trial.ft_wrench for trial in trials if trial.ft_wrench and trial.finger_near(setup.reach)]
@@ -474,7 +487,7 @@ def _stands_still(setup: Setup, trial: Trial) -> bool:
 
 def _pulls(setup: Setup, trial: Trial) -> bool:
     """Whether the force opposes the finger's motion along most of its path."""
-    if trial.ft_wrench is None or len(trial.tip_pose.time) < 2:
+    if trial.ft_wrench is None or len(trial.ft_wrench.time) < _FEWEST_FORCES or len(trial.tip_pose.time) < 2:
         return False
     times, force = trial.ft_wrench.time, trial.ft_wrench.values[:, :2]
     size = np.hypot(*force.T)
@@ -484,8 +497,9 @@ def _pulls(setup: Setup, trial: Trial) -> bool:
     return bool(work.sum() < -0.5 * (size[1:] * np.hypot(*step.T))[pushing].sum()) if len(work) else False
 
 
-def _copies(trials: Sequence[Trial], where: str) -> list[str]:
-    """Warnings about equal pushes in one file; equal pushes in two files are refused."""
+def _copies(trials: Sequence[Trial], where: str, one_file: bool) -> list[str]:
+    """Warnings about equal pushes in one file; equal pushes in two files are refused, unless these were
+    written from one file."""
     seen: dict[bytes, str] = {}
     warnings = []
     for trial in trials:
@@ -497,7 +511,8 @@ def _copies(trials: Sequence[Trial], where: str) -> list[str]:
         if first == trial.name:
             continue
         fault = f"{where}: {trial.name} holds the same measurement as {first}"
-        if "#" not in first or first.rpartition("#")[0] != trial.name.rpartition("#")[0]:
+        cut_apart = "#" in first and first.rpartition("#")[0] == trial.name.rpartition("#")[0]
+        if not one_file and not cut_apart:
             raise DatasetError(f"{fault}; remove one of them")
         warnings.append(f"{fault}; is one a copy?")
     return warnings

@@ -16,7 +16,7 @@ COLUMNS = 4
 
 _LARGEST_VALUE = 1e6  # m, rad, N
 _LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
-_LONGEST_PUSH = 1000.0  # s
+LONGEST_PUSH = 1000.0  # s
 _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
 
@@ -33,7 +33,7 @@ def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
 
 
 def trial_from_tables(
-    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = _LONGEST_PUSH
+    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = LONGEST_PUSH
 ) -> tuple[Trial, list[str]]:
     """Build a trial from the tables `object_pose`, `tip_pose` and, if measured, `ft_wrench`.
 
@@ -56,7 +56,8 @@ def trial_from_tables(
         if required not in tables:
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
     pose, rows = _channel(tables, "object_pose", where)
-    warnings = _degrees(pose, where)
+    placed, _, _ = sound_rows(pose.time, pose.values[:, :2])  # -9999 for an angle is none
+    warnings = _degrees(Channel(pose.time[placed], pose.values[placed]), where)
     if not warnings:  # of angles in degrees, an apparent half turn may be half a degree
         pose, warnings = _sound(pose, rows, f"{where}, object_pose")
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
@@ -70,13 +71,15 @@ def trial_from_tables(
     return Trial(name, role, pose, tip, wrench), warnings
 
 
-def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> None:
+def refuse_long(pose: Channel, where: str, longest: float = LONGEST_PUSH) -> None:
     """Raise DatasetError if a push lasts longer than `longest` s."""
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:
+        step = float(np.median(np.diff(pose.time)))
+        likely = "milliseconds" if step < 1e3 else "microseconds" if step < 1e6 else "nanoseconds"
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, but a push may last at most {longest:g} s;"
-            " times must be in s; were these milliseconds? Cut a long recording into its pushes"
+            f" times must be in s; were these {likely}? Cut a long recording into its pushes"
         )
 
 

@@ -13,13 +13,10 @@ import yaml
 from slipmap.models.files import part_of, remove_part, replaced_file, replaced_folder
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import PushDataset
-from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
+from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, IMPORTED, check_format
 from slipmap.models.measurements.setup_description import setup_document
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import CellGrid
-
-IMPORTED = "imported from "
-"""Start of the sentence of provenance with which every imported dataset begins."""
 
 
 def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:

@@ -140,7 +140,7 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
         else:
             axes = ("Y", "Z") if match[2] == "X" else ("y", "z")
             others = [f"{match[1]}{axis}{match[3]}{end}" for axis in axes]
-            if others[0] not in source.columns:
+            if others[0] not in source.columns or _is_rotation(source, match[1], match[2] + match[3] + end):
                 continue
             columns = (name, *(other for other in others if other in source.columns))
         try:
@@ -153,6 +153,11 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
             yield _Found(source, file, columns, _turn(source, columns[0]), values)
 
 
+def _is_rotation(source: Source, stem: str, rest: str) -> bool:
+    """Whether columns such as rx, ry, rz are a rotation, since there are x, y, z as well."""
+    return stem[-1:] in ("r", "R") and {f"{stem[:-1]}{rest}", f"{stem}{rest}"} <= set(source.columns)
+
+
 def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
     """Quaternion, rotation vector or angle that belongs to a position, given its first column."""
     names = set(source.columns)
@@ -162,6 +167,8 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         columns = tuple(f"{stem}{quaternion}{axis}" for axis in "xyzw")
         if set(columns) <= names:
             return "quaternion", columns
+    if {f"{stem}r{axis}" for axis in "xyz"} <= names:
+        return "rotation_vector", tuple(f"{stem}r{axis}" for axis in "xyz")
     if first.endswith("_0") and {f"{stem}_{k}" for k in (3, 4, 5)} <= names:
         return "rotation_vector", tuple(f"{stem}_{k}" for k in (3, 4, 5))
     axis_first = _AXIS_FIRST.match(_bare(first))

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import compose
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
-from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.source import Source, names_in
+from slipmap.models.measurements.importing.stamps import coarse_text, wild_rows
 from slipmap.models.measurements.importing.text_tables import seconds
 from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
@@ -51,6 +53,8 @@ _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is 
 _STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
+_APART, _JUMPING, _FEWEST_ROWS = 0.01, 0.2, 50  # m, share of the rows, and rows, that jump to and fro
+_RETURNS = 0.1  # of the jump, by which a body is elsewhere when its next row comes
 _LIFTED = 0.01  # m above the finger's pushing height
 
 _TO_TABLE = {
@@ -89,10 +93,16 @@ def mapped(source: Source, name: str, channel: ChannelSetup, own: bool = True) -
     Raises:
         DatasetError: missing or non-numeric columns, no clock, or no rows.
     """
-    time, concluded = times(source, channel)
+    time, concluded, wild = _stamps(source, channel)
     done = [concluded] if concluded else []
     height = np.zeros(0)
     doubts: list[str] = []
+    if len(wild):
+        rows = parsing.listed([str(row + source.first_row) for row in wild])
+        doubts.append(
+            f"{source.where}: the stamps of {len(wild)} of {len(time)} rows are far from those before and"
+            f" after them; left out: rows {rows}"
+        )
     up = channel.up or source.up
     if name == "ft_wrench":
         values = _force(source, channel, up)
@@ -108,6 +118,8 @@ def mapped(source: Source, name: str, channel: ChannelSetup, own: bool = True) -
         lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
         if len(lifted):
             done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger counts as not touching")
+    if name != "ft_wrench":
+        _refuse_several_bodies(table, source, name)
     table, order = _in_order(table, name)
     doubts += [f"{source.where}: {text}" for text in order]
     if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
@@ -176,8 +188,22 @@ def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tupl
     return columns
 
 
-def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
-    """(T,) stamps of the rows, s, and a remark on how they were read. Raises DatasetError without a clock."""
+def times(source: Source, channel: ChannelSetup) -> FloatArray:
+    """(T,) stamps of the rows, s, NaN where missing or wrong. Raises DatasetError without a clock."""
+    return _stamps(source, channel)[0]
+
+
+def _stamps(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str, NDArray[np.int_]]:
+    """(T,) stamps of the rows, s, a remark on how they were read, and the rows whose stamps are wrong."""
+    time, concluded = _read_stamps(source, channel)
+    if len(wild := wild_rows(time)):
+        time = time.copy()
+        time[wild] = np.nan
+    return time, concluded, wild
+
+
+def _read_stamps(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+    """(T,) stamps of the rows, s, as recorded, and a remark on how they were read."""
     unit = channel.unit.get("time")
     if channel.rate is not None:
         frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))
@@ -244,9 +270,15 @@ def _pose(
         theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
+            asked = "is `up` right, and does the tracked frame lie flat?"
+            if _lies_flat_with_w_first(turns[known], whole, to_table):
+                asked = (
+                    "it would lie flat if the quaternion were w, x, y, z; list its columns in the"
+                    " order x, y, z, w"
+                )
             doubts.append(
                 f"{source.where}: the object's frame is tilted by {np.degrees(np.median(tilt)):.0f}° relative"
-                " to the table; is `up` right, and does the tracked frame lie flat?"
+                f" to the table; {asked}"
             )
     elif turn is not None:
         down = _looks_down(frame, f"{source.where}: {name}") != up.startswith("-")
@@ -258,6 +290,15 @@ def _pose(
     values = np.column_stack([place[:, :2], theta])
     height = place[:, 2] if known_height else np.full(len(place), np.nan)
     return _offset_taken_off(values, channel, name, axes), height, doubts
+
+
+def _lies_flat_with_w_first(turns: FloatArray, whole: FloatArray, to_table: FloatArray) -> bool:
+    """Whether rotations (T, 3, 3) leave the object flat if w of their quaternions was read as x."""
+    from scipy.spatial.transform import Rotation
+
+    read = Rotation.from_matrix(turns).as_quat()
+    matrices = whole @ Rotation.from_quat(read[:, [1, 2, 3, 0]]).as_matrix() @ to_table.T
+    return bool(np.median(matrices[:, 2, 2]) > np.cos(_LEVEL))
 
 
 def _turns(
@@ -376,6 +417,28 @@ def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
 # Rows.
 
 
+def _refuse_several_bodies(table: FloatArray, source: Source, name: str) -> None:
+    """Raise DatasetError if the rows (T, 4) of a table with names jump to and fro between places to which
+    they return, as poses of different bodies do. Noise, in whatever unit, does not return so exactly."""
+    place = table[np.isfinite(table[:, 1:3]).all(axis=1), 1:3]
+    words = names_in(source)
+    if len(place) < _FEWEST_ROWS or not words:
+        return
+    step = np.hypot(*np.diff(place, axis=0).T)
+    jumps = step > _APART
+    apart = float(np.median(step[jumps])) if jumps.any() else 0.0
+    later = range(2, 2 * len(words) + 1)
+    returns = [
+        np.hypot(*(place[lag : len(place) - later[-1] + lag] - place[: -later[-1]]).T) for lag in later
+    ]
+    left = float(np.median(np.min(returns, axis=0)))
+    if jumps.sum() > _JUMPING * len(place) and left < _RETURNS * apart:
+        raise DatasetError(
+            f"{source.where}: {name} jumps to and fro by {apart:.2g} m from row to row; if the rows are of"
+            f" several bodies, give `part`, one of {parsing.listed(words)}"
+        )
+
+
 def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
     """Rows with a time, sorted and without repeated stamps, and warnings about these."""
     rows = table[np.isfinite(table[:, 0]) & np.isfinite(table[:, 1:3]).all(axis=1)]
@@ -390,8 +453,10 @@ def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
     again = np.diff(rows[:, 0]) <= 1e-9
     if again.any():
+        coarse = coarse_text(rows[:, 0], rows[:, 1:])
         found.append(
             f"{int(again.sum())} of {len(rows)} rows of {name} have the stamp of the row before; left out"
+            + (f". {coarse[0].upper()}{coarse[1:]}" if coarse else "")
         )
         rows = rows[np.append(True, ~again)]
     return rows, found

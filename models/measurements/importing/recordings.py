@@ -18,13 +18,12 @@ from slipmap.models.measurements import parsing
 from slipmap.models.measurements.contact import contact_rows, middle_angle, normals_and_forces
 from slipmap.models.measurements.importing.clocks import (
     Lag,
-    bias_matters,
     finger_lag,
     force_lag,
-    free_force,
     usual_lag,
 )
 from slipmap.models.measurements.importing.files import find_files, read_sources
+from slipmap.models.measurements.importing.force_bias import Bias, force_at_rest, unknown_biases, usual_bias
 from slipmap.models.measurements.importing.import_setup import (
     CONTACT,
     ChannelSetup,
@@ -32,15 +31,14 @@ from slipmap.models.measurements.importing.import_setup import (
     parse_import_setup,
 )
 from slipmap.models.measurements.importing.mapping import is_there, mapped, times
-from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.source import Source, names_in, rows_named
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import PushDataset
-from slipmap.models.measurements.reading import last_held_out, object_document
+from slipmap.models.measurements.reading import IMPORTED, last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
-from slipmap.models.measurements.trial_tables import refuse_long, trial_from_tables
-from slipmap.models.measurements.writing import IMPORTED
+from slipmap.models.measurements.trial_tables import LONGEST_PUSH, refuse_long, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
@@ -107,30 +105,33 @@ def import_dataset(
     files = find_files(paths)
     groups = _recordings(files, said, where)
     reader = _Files(files, said, fingerprint)
-    read: dict[str, _Recording] = {}
-    faults: list[str] = []
-    for number, (name, group) in enumerate(groups.items(), 1):
-        try:
-            read[name] = _recording(name, group, said, reader)
-        except DatasetError as error:
-            faults.append(str(error))
+    found: dict[str, _Recording | DatasetError] = {}
+    for number, name in enumerate(groups, 1):
+        found[name] = _attempt(name, groups[name], said, reader)
         if progress is not None:
             progress(number, len(groups))
-    if faults:
-        raise all_faults(faults, len(groups), "recordings")
-    usual = usual_lag([lag for one in read.values() for lag in one.force_lags])
+    usual = usual_lag([lag for one in _good(found).values() for lag in one.force_lags])
     if usual is not None:
+        for name, one in found.items():
+            if isinstance(one, DatasetError) or any(_stands_alone(lag, usual) for lag in one.force_lags):
+                found[name] = _attempt(name, groups[name], said, reader, usual)
+    if faults := [str(one) for one in found.values() if isinstance(one, DatasetError)]:
+        raise all_faults(faults, len(groups), "recordings")
+    read = _good(found)
+    bias = usual_bias([bias for one in read.values() for bias in one.biases.values()])
+    if bias is not None:
         for name, one in read.items():
-            if any(_stands_alone(lag, usual) for lag in one.force_lags):
-                read[name] = _recording(name, groups[name], said, reader, usual)
+            if None in one.biases.values():
+                read[name] = _recording(name, groups[name], said, reader, usual, bias)
     done: dict[str, list[str]] = {}
     warnings = list(said.warnings)
+    warnings += unknown_biases({label: bias for one in read.values() for label, bias in one.biases.items()})
     for one in read.values():
         warnings += one.doubts
         for label, step in dict.fromkeys(one.steps):
             done.setdefault(step, []).append(label)
     parts = len({label for one in read.values() for label in one.labels})
-    warnings = parsing.grouped(warnings)
+    warnings = parsing.grouped(warnings, parsing.NUMBER)
     trials = _with_roles([trial for one in read.values() for trial in one.trials], said.heldout, where)
     kept, doubts = check_trials(said.setup, in_order(trials), where)
     provenance = (
@@ -236,14 +237,16 @@ class _Files:
             found = [table for table in tables if table.part.strip("/").lower() == wanted]
             if not found:
                 found = [t for t in tables if t.part.strip("/").lower().split(":")[-1] == wanted]
+            if not found and len(tables) == 1:
+                found = rows_named(tables[0], channel.part)
         else:
             found = tables
         if len(found) == 1 or (found and not channel.part and len(tables) == 1):
             return found[0]
-        parts = parsing.listed([table.part for table in tables])
+        parts = parsing.listed([table.part for table in tables if table.part] or names_in(tables[0]))
         if channel.part:
             raise DatasetError(
-                f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts}"
+                f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts or 'none'}"
             )
         raise DatasetError(f"{tables[0].file}: has several parts; name one with `part`: {parts}")
 
@@ -258,15 +261,36 @@ class _Recording:
     labels: list[str] = field(default_factory=list)  # of the parts separated by push numbers or stamps
     steps: list[tuple[str, str]] = field(default_factory=list)  # label, and what was done
     force_lags: list[Lag | None] = field(default_factory=list)  # of each part with a force to be aligned
+    biases: dict[str, Bias | None] = field(default_factory=dict)  # of each part's force, None if unknown
+
+
+def _good(found: Mapping[str, _Recording | DatasetError]) -> dict[str, _Recording]:
+    return {name: one for name, one in found.items() if not isinstance(one, DatasetError)}
+
+
+def _attempt(
+    name: str, group: Mapping[str, str], said: ImportSetup, reader: _Files, usual: Lag | None = None
+) -> _Recording | DatasetError:
+    """The pushes of a recording, or why it cannot be used."""
+    try:
+        return _recording(name, group, said, reader, usual)
+    except DatasetError as error:
+        return error
 
 
 def _recording(
-    name: str, group: Mapping[str, str], said: ImportSetup, reader: _Files, usual: Lag | None = None
+    name: str,
+    group: Mapping[str, str],
+    said: ImportSetup,
+    reader: _Files,
+    usual: Lag | None = None,
+    bias: FloatArray | None = None,
 ) -> _Recording:
     """The pushes of a recording.
 
     Args:
         usual: lag of the force's stamps on which the session's recordings agree, if known.
+        bias: (2,) of the force, N, on which they agree, if known.
     """
     sources: dict[str, Source] = {}
     for channel, file in group.items():
@@ -284,8 +308,10 @@ def _recording(
         told_apart = "cut into pushes by their numbers, or where the stamps start again"
         whole.steps.extend((label, told_apart) for label in pushes)
     for label, parts in pushes.items():
-        for name, values in vars(_one_clock(label, parts, said, usual)).items():
-            getattr(whole, name).extend(values)
+        one = _one_clock(label, parts, said, usual, bias)
+        whole.biases.update(one.biases)
+        for key in ("trials", "doubts", "labels", "steps", "force_lags"):
+            getattr(whole, key).extend(getattr(one, key))
     return whole
 
 
@@ -352,7 +378,7 @@ def _parts_without_numbers(
 
 def _cut_at_new_starts(source: Source, channel: ChannelSetup) -> list[NDArray[np.int_]]:
     """The rows of a table, cut where stamps go back to the start."""
-    return np.split(np.arange(len(source)), _new_starts(times(source, channel)[0]))
+    return np.split(np.arange(len(source)), _new_starts(times(source, channel)))
 
 
 def _cut_where_stamps_start_anew(
@@ -398,7 +424,13 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
     return np.array(found, dtype=int)
 
 
-def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
+def _one_clock(
+    name: str,
+    sources: Mapping[str, Source],
+    said: ImportSetup,
+    usual: Lag | None,
+    bias: FloatArray | None,
+) -> _Recording:
     """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
     found = {
@@ -454,15 +486,24 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
                     f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
                     " picture, or give ft_wrench.clock, the seconds to add to its stamps"
                 )
+    biases: dict[str, Bias | None] = {}
     if trial.ft_wrench is not None and trial.finger_near(said.setup.reach):
-        trial, more = _force_at_rest(trial, said)
-        steps += more
+        if said.channels["ft_wrench"].offset is None:
+            trial, text, biases[name] = force_at_rest(setup, trial, bias)
+            steps.append(text)
         if said.channels["ft_wrench"].turned_by_contact:
             trial, text = _turned(trial, said)
             steps.append(text)
     pushes, cuts = cut_at_carries(setup, [trial], name)
-    steps += ["cut where the object is carried while the finger is away"] if cuts else []
-    parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
+    if cuts:
+        carried = any("while the finger is away" in text for text in cuts)
+        why = (
+            "the object is carried while the finger is away"
+            if carried
+            else "nothing was recorded for a while"
+        )
+        steps.append(f"cut where {why}")
+    parted = [piece for push in pushes for piece in cut_at_rests(setup, push, LONGEST_PUSH)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
@@ -470,7 +511,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
         refuse_long(piece.object_pose, f"{piece.name}")
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
-    return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags)
+    return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags, biases)
 
 
 def _is_aligned(channel: str, sources: Mapping[str, Source], said: ImportSetup) -> bool:
@@ -528,23 +569,6 @@ def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
-
-
-def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
-    """The trial with the bias of its force sensor removed, and remarks on it."""
-    force = trial.ft_wrench
-    assert force is not None
-    if said.channels["ft_wrench"].offset is not None:
-        return trial, []
-    free = free_force(said.setup, trial.object_pose, trial.tip_pose, force)
-    if free is None:
-        return trial, ["ft_wrench: no rows before touch, so its bias is unknown; left as it is"]
-    bias, error, count = free
-    if not bias_matters(bias, error, force):
-        return trial, ["ft_wrench: no significant bias before touch; left as it is"]
-    size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
-    values = force.values - np.append(bias, 0.0)
-    return replace(trial, ft_wrench=Channel(force.time, values)), [f"ft_wrench: bias {size} taken off"]
 
 
 def _turned(trial: Trial, said: ImportSetup) -> tuple[Trial, str]:

@@ -31,7 +31,7 @@ MOST_CELLS = 2**24
 Column = FloatArray | Sequence[str]
 """(T,) numbers, NaN where missing; or texts as in the file."""
 
-NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
+NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing", "nat"})
 """Words that mean a missing number, in lower case."""
 
 _MOST_NAMED = 12
@@ -136,6 +136,28 @@ class Source:
         }
         time = None if self.time is None else self.time[rows]
         return replace(self, columns=columns, time=time)
+
+
+def rows_named(table: Source, name: str) -> list[Source]:
+    """The rows of a table of several bodies, one below the other, in which a column holds a body's name."""
+    found = []
+    for cells in table.columns.values():
+        if not isinstance(cells, np.ndarray):
+            rows = np.flatnonzero([cell.strip() == name for cell in cells])
+            if 0 < len(rows) < len(cells):
+                found.append(replace(table.chosen(rows), part=name))
+    return found
+
+
+def names_in(table: Source) -> list[str]:
+    """The words by which rows of a table of several bodies may be told apart; empty if there are none."""
+    for cells in table.columns.values():
+        if isinstance(cells, np.ndarray):
+            continue
+        words = list(dict.fromkeys(cell.strip() for cell in cells))
+        if 1 < len(words) <= _MOST_NAMED and all(word[:1].isalpha() for word in words):
+            return sorted(words)
+    return []
 
 
 def _with_point(cell: str) -> str:

@@ -23,8 +23,11 @@ from slipmap.models.physics.cell_grid import FloatArray
 TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log")
 
 _CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)$")
+_GERMAN_DATE = re.compile(r"\A(\d{2})\.(\d{2})\.(\d{4})(?!\d)")
 _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
 """Stamps since 1970 above the first number count this many per second; unambiguous from 1973 to 5138."""
+
+_LONGEST_STEP = 60.0  # s between rows
 
 _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
 """First line of some exports, which states the separator of the cells."""
@@ -32,6 +35,7 @@ _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3}){2,}")
 _LINES_SNIFFED = 30
+_ROWS_SNIFFED = 8  # of these, the last, which are no header
 _DAY = 86400.0  # s
 _LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "m": "m", "cm": "cm", "mm": "mm"}
 
@@ -105,6 +109,8 @@ def _table(lines: Sequence[str], where: str) -> Source:
     while comments < len(lines) and (_is_comment(lines[comments]) or not lines[comments].strip()):
         comments += 1
     body, header_line = lines[comments:], None
+    if above := _lines_above_header(body):
+        body, comments = body[above:], 0
     sign = _sign(body)
     if not body or (comments and _is_header(lines[comments - 1].lstrip("# "), body[0], sign)):
         header_line = lines[comments - 1].lstrip("# ") if comments else ""
@@ -117,8 +123,9 @@ def _table(lines: Sequence[str], where: str) -> Source:
     else:
         names, rows = (rows[0], rows[1:]) if rows else ([], [])
         if len(rows) > 1 and _words_over_numbers(rows[0], rows[1], decimal):
+            word = next(cell for cell in rows[0] if cell.strip().lower() not in NO_NUMBER)
             raise DatasetError(
-                f"{where}, row 0: there are words below the header, such as {parsing.shown(rows[0][0])}; if"
+                f"{where}, row 0: there are words below the header, such as {parsing.shown(word.strip())}; if"
                 " they are units, delete the line and give them in setup.yaml under `unit`"
             )
     names = [name.strip() for name in names]
@@ -131,6 +138,32 @@ def _table(lines: Sequence[str], where: str) -> Source:
         time = source.numbers(stamp)
         return Source(where, "", source.columns, 1e-9 * (time if time.any() else source.numbers("%time")))
     return source
+
+
+def _lines_above_header(lines: Sequence[str]) -> int:
+    """How many lines, such as a title and a date, stand above the line that names the columns.
+
+    They have at most half as many cells as the rows, the header as many or, if each row ends with a
+    separator, one less.
+    """
+    sample = [number for number, line in enumerate(lines[:_LINES_SNIFFED]) if line.strip()]
+    rows = [lines[number] for number in sample[-_ROWS_SNIFFED:]]
+    sign = _sign(rows)
+    counts = [_cells(line, sign) for line in rows]
+    if len(sample) <= _ROWS_SNIFFED or min(counts) < max(counts) or counts[0] < 3:
+        return 0
+    first = next(number for number in sample if _cells(lines[number], sign) >= counts[0] - 1)
+    header = lines[first].split(sign)
+    if all(_numeric(cell, ".") or _numeric(cell, ",") for cell in header):
+        return 0
+    above = [_cells(line, sign) for line in lines[:first]]
+    return first if max(above, default=0) <= counts[0] / 2 else 0
+
+
+def _cells(line: str, sign: str | None) -> int:
+    if sign is None:
+        return len(line.split())
+    return len(next(csv.reader([line], delimiter=sign, skipinitialspace=True), []))
 
 
 def _is_header(comment: str, line: str, sign: str | None) -> bool:
@@ -179,8 +212,9 @@ def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) ->
     filled = [row for row in rows if row]
     for number, row in enumerate(filled):
         if len(row) != len(names) and not (len(row) == len(names) + 1 and not row[-1].strip()):
+            header = parsing.shown(",".join(names))
             raise DatasetError(
-                f"{where}, row {number}: has {len(row)} cells, but the header has {len(names)}"
+                f"{where}, row {number}: has {len(row)} cells, but the header {header} has {len(names)}"
             )
     if not filled:
         raise DatasetError(f"{where}: has a header but no rows")
@@ -206,17 +240,21 @@ def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple
         return source.numbers(columns[0]) + 1e-9 * source.numbers(columns[1]), ""
     cells = source.columns[source.name_of(columns[0])]
     if not isinstance(cells, np.ndarray):
-        first = next((cell.strip() for cell in cells if cell.strip()), "")
-        if _moment(first) is not None and not _numeric(first, source.decimal):
+        first = next((cell.strip() for cell in cells if cell.strip().lower() not in NO_NUMBER), "")
+        if not _numeric(first, source.decimal):
             time = _moments(source, columns[0])
             told = f"{columns[0]} holds times such as {parsing.shown(first)}"
             return _past_midnight(time) if _CLOCK.match(first) else time, told
     time = source.numbers(columns[0])
     if unit is not None:
         return unit * time, ""
-    largest = float(np.nanmax(np.abs(time), initial=0.0)) if np.isfinite(time).any() else 0.0
+    known = time[np.isfinite(time)]
+    largest = float(np.max(np.abs(known), initial=0.0))
+    step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
     for least, count, name in _PER_SECOND:
         if largest > least:
+            if step > _LONGEST_STEP * count:  # such as ns since the computer was started
+                break
             return time / count, f"{columns[0]} counts {name} since 1970"
     return time, ""
 
@@ -224,9 +262,12 @@ def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple
 def _moments(source: Source, column: str) -> FloatArray:
     result = []
     for row, cell in enumerate(source.texts(column)):
-        value = _moment(cell) if cell else float("nan")
+        value = float("nan") if cell.lower() in NO_NUMBER else _moment(cell)
         if value is None:
-            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is not a time")
+            raise DatasetError(
+                f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is not a time; write s,"
+                " 2024-02-06T15:25:00.02 or 15:25:00.02"
+            )
         result.append(value)
     return np.array(result)
 
@@ -244,6 +285,7 @@ def _moment(cell: str) -> float | None:
     if match := _CLOCK.match(cell):
         hours, minutes, rest = match.groups()
         return 3600.0 * int(hours or 0) + 60.0 * int(minutes) + float(rest.replace(",", "."))
+    cell = _GERMAN_DATE.sub(r"\3-\2-\1", cell)
     try:
         moment = datetime.fromisoformat(cell.replace("/", "-"))
     except ValueError:

@@ -8,6 +8,7 @@ from example_dataset import push_record
 from spoilt_datasets import record
 
 from slipmap.models.measurements import read_dataset
+from slipmap.models.measurements.bad_rows import sound_rows
 
 
 def flip(rows, row, angle=math.pi):
@@ -101,3 +102,52 @@ def test_shared_cases_are_as_smooth_as_without_the_fault(shared_data, case):
     for trial in dataset.trials:
         step = np.abs(np.diff(trial.object_pose.values, axis=0))
         assert step[:, :2].max() < 0.02 and step[:, 2].max() < 0.3, trial.name
+
+
+@pytest.mark.parametrize("code", [-1.0, -9999.0, 999.0])
+@pytest.mark.parametrize("at", [range(3), range(40, 55), range(95, 100)])
+def test_codes_of_an_unseen_object_are_left_out(example, code, at):
+    """However many rows, and although -9999 rad looks like an angle in degrees."""
+    for row in at:
+        record(example)["object_pose"][row][1:] = 3 * [code]
+    dataset = read_dataset(example.write())
+    (warning,) = dataset.warnings
+    assert f"is exactly {code:g} while the rows around it are not" in warning
+    assert len(dataset.trials[1].object_pose.time) == 100 - len(at)
+
+
+def test_a_long_stay_at_another_place_is_left_out(example):
+    """As of a receiver that clears only the position, for longer than an object can be elsewhere and back."""
+    for row in range(40, 60):
+        record(example)["object_pose"][row][1:3] = [0.2, -0.3]
+    dataset = read_dataset(example.write())
+    (warning,) = dataset.warnings
+    assert "stands at one place, away from the rows around" in warning
+    assert len(dataset.trials[1].object_pose.time) == 80
+
+
+def moving(time, still=(), wait=0.0):
+    """(T, 3) poses of an object that moves at 0.1 m/s from `wait` s on, while a tracker that does not see it
+    repeats its last pose."""
+    values = np.column_stack([0.1 * np.maximum(time - wait, 0.0), 0.0 * time, 0.02 * time])
+    for row in still:
+        values[row] = values[row - 1]
+    return values
+
+
+def test_repeats_of_the_last_pose_are_left_out():
+    time = 0.01 * np.arange(200)
+    kept, found, complaint = sound_rows(time, moving(time, range(80, 110)))
+    assert np.flatnonzero(~kept).tolist() == list(range(80, 110))
+    assert list(found) == ["repeats the pose before, while the object moves on as the next pose shows"]
+    assert complaint == ""
+
+
+def test_rest_is_no_repeat():
+    """Before a push that starts between two rows, and of an object that is put elsewhere."""
+    time = 0.2 * np.arange(60)
+    resting = moving(time, wait=4.1)
+    resting[time < 4.1] = resting[0]
+    put = np.where(time[:, None] < 6.0, [0.0, 0.0, 0.0], [0.05, 0.0, 0.0])
+    for values in (resting, put):
+        assert sound_rows(time, values + np.array([0.3, -0.2, 0.1]))[0].all()

@@ -111,6 +111,18 @@ def test_a_finger_thicker_than_it_is_and_what_nothing_explains(tmp_path):
     assert "check theta's sign, the frames, the clocks" in deep
 
 
+def test_no_correction_is_named_that_only_moves_the_finger_away(tmp_path):
+    """A tool whose flange was recorded, 30 mm from the finger, and that turns while it pushes."""
+
+    def flange(trial):
+        turned = 1.2 * trial.tip_pose.time + 0.7 * int(trial.name[-6])
+        return tipped(lambda tips: tips - rotated(np.tile([0.03, 0.01], (len(tips), 1)), turned))(trial)
+
+    warnings = reread(tmp_path, straight_pushes(8), flange).warnings
+    assert any("mm inside the object in" in text for text in warnings)
+    assert not any("tip_offset" in text for text in warnings)  # 130 mm away it would go nowhere deep
+
+
 def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
     deeper = tipped(lambda tip: tip + 0.3 * (tip[-1] - tip[0]) / np.hypot(*(tip[-1] - tip[0])) * 0.03)
     dataset = reread(tmp_path, straight_pushes(), deeper, only=5)

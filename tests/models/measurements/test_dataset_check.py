@@ -470,6 +470,36 @@ def test_a_constant_angle_in_degrees_blames_nothing_else():
     assert "angles seem to be in degrees" in finding(check, "contact").found
 
 
+def test_pushes_that_push_nothing_are_told_as_such():
+    """Not as a force in a wrong unit, though there is none to speak of."""
+
+    def missed(trial):
+        pose = np.tile(trial.object_pose.values[0], (len(trial.object_pose.time), 1))
+        force = 0.01 * np.sin(np.arange(3.0 * len(pose))).reshape(-1, 3)
+        channels = {"object_pose": pose, "tip_pose": trial.tip_pose.values + 0.3, "ft_wrench": force}
+        return replace(
+            trial, **{name: Channel(trial.channels[name].time, values) for name, values in channels.items()}
+        )
+
+    dataset = replace(straight_pushes(8), mass=1.0)
+    check = check_dataset(replace(dataset, trials=tuple(missed(one) for one in dataset.trials)))
+    assert [one.what for one in check.findings if one.verdict == "wrong"] == ["contact"]
+    assert finding(check, "contact").found == "no object moves, and no finger reaches one in any push"
+
+
+def test_an_outline_in_a_far_frame_makes_no_advice_to_change_a_clock(shared_data):
+    """As one drawn from a corner, where the tracked frame is in the middle."""
+    folder = shared_data / "effects" / "public-none"
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}")
+    dataset = read_dataset(folder)
+    corner = cells_from_polygon(dataset.grid.exterior - dataset.grid.exterior.min(axis=0))
+    check = check_dataset(replace(dataset, grid=corner, trials=dataset.trials[:8]))
+    assert check.wrong
+    clock = [one.advice for one in check.findings if one.what == "clock of the finger"]
+    assert not any(advice.startswith("add ") for advice in clock)
+
+
 def test_a_finger_far_away_is_told_as_such():
     check = changed(tipped(lambda tip: np.full_like(tip, 100.0)))
     assert finding(check, "contact").found == "no finger comes within 1 m of the object"

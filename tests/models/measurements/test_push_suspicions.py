@@ -148,3 +148,13 @@ def test_a_frozen_tracker_is_noticed(example):
 def test_a_finger_of_one_row_is_noticed(example):
     record(example)["tip_pose"] = record(example)["tip_pose"][:1]
     assert any("tip_pose has only one row" in warning for warning in read_dataset(example.write()).warnings)
+
+
+def test_two_rows_of_force_do_not_tell_its_sign(example):
+    """Such as of a push of which only the ends were kept: one before the touch, one after it."""
+    for index in range(3):
+        for name, rows in record(example, index).items():
+            record(example, index)[name] = [rows[0], rows[-1]]
+        for row in record(example, index)["ft_wrench"]:
+            row[1:] = [-0.3, 0.0, 0.0]
+    assert not any("pulled" in text for text in read_dataset(example.write()).warnings)

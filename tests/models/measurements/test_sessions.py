@@ -8,6 +8,7 @@ import pytest
 from straight_pushes import reread, straight_pushes
 
 from slipmap.models.measurements import Channel, DatasetError, read_dataset
+from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.setup_description import setup_document
 
 CARRY = 1.5  # s
@@ -95,6 +96,62 @@ def test_one_push_in_which_the_object_is_carried_is_left_out(tmp_path, recorded)
         and "left out; to keep it, set `keep: true`" in warning
     )
     assert len(read.trials) == 11
+
+
+def pressed(pause):
+    """Four pushes on one clock, each recorded until the finger still presses, and paused in between."""
+    times, poses, tips = [], [], []
+    for number, trial in enumerate(straight_pushes(4).trials):
+        times.append(trial.object_pose.time[:72] + number * (0.72 + pause))
+        poses.append(trial.object_pose.values[:72])
+        tips.append(trial.tip_pose.values[:72])
+    channels = (
+        Channel(np.concatenate(times), np.concatenate(poses)),
+        Channel(*map(np.concatenate, (times, tips))),
+    )
+    return replace(trial, name="all.csv", object_pose=channels[0], tip_pose=channels[1], ft_wrench=None)
+
+
+def test_a_recording_is_cut_where_it_pauses():
+    """Though the finger touches the object before each pause, nothing tells what it did in it."""
+    setup = straight_pushes(4)
+    pushes, told = cut_at_carries(setup, [pressed(3.0)], "all.csv")
+    assert [push.name for push in pushes] == [f"all.csv#{number}" for number in (1, 2, 3, 4)]
+    for push, whole in zip(pushes, setup.trials, strict=True):
+        assert np.array_equal(push.object_pose.values, whole.object_pose.values[:72])
+    assert "no rows of object and finger for 3.01 s from t = 0.7 s on and 2 more times" in told[0]
+
+
+def test_a_pause_in_which_nothing_moves_is_no_cut():
+    """Nor is one of the tracker alone, whose finger tells what happened."""
+    setup = straight_pushes(1)
+    push = setup.trials[0]
+    late = Channel(push.object_pose.time + np.where(np.arange(120) < 3, 0.0, 5.0), push.object_pose.values)
+    tips = push.tip_pose.values.copy()
+    tips[:3] = tips[3]
+    waits = replace(push, object_pose=late, tip_pose=Channel(late.time, tips), ft_wrench=None)
+    time = 10.0 * push.object_pose.time  # a slow push of 12 s
+    blind = Channel(np.delete(time, np.s_[30:50]), np.delete(push.object_pose.values, np.s_[30:50], axis=0))
+    slow = replace(push, object_pose=blind, tip_pose=Channel(time, push.tip_pose.values), ft_wrench=None)
+    for trial in (waits, slow):
+        assert cut_at_carries(setup, [trial], "push.csv") == ([trial], [])
+
+
+def test_a_long_rest_before_a_push_is_cut_off():
+    push = straight_pushes(1).trials[0]
+    waits = np.arange(-1200.0, 0.0)
+    channels = [
+        Channel(
+            np.concatenate([waits, channel.time]),
+            np.concatenate([np.tile(channel.values[0], (1200, 1)), channel.values]),
+        )
+        for channel in (push.object_pose, push.tip_pose)
+    ]
+    long = replace(push, object_pose=channels[0], tip_pose=channels[1], ft_wrench=None)
+    (kept,) = cut_at_rests(straight_pushes(1), long, longest=1000.0)
+    assert kept.name == push.name
+    assert -2.0 < kept.object_pose.time[0] < 0.05 and kept.object_pose.time[-1] > 1.0
+    assert cut_at_rests(straight_pushes(1), long) == [long]
 
 
 def test_an_object_that_slides_on_is_not_carried(tmp_path):

@@ -276,3 +276,19 @@ def test_an_angle_in_a_frame_on_its_side_is_refused(tmp_path):
     says = f"frame: {frame}\ntip_pose: null\nobject_pose: {{position: [a, b], angle: c}}\n"
     with pytest.raises(DatasetError, match=r"push\.csv: object_pose: .* 50° from the vertical"):
         trial_of(tmp_path, ["t", "a", "b", "c"], [TIME, POSE], says)
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+def test_a_quaternion_with_w_first_is_told(tmp_path, up):
+    axes = np.array(AXES[up], dtype=float)
+    place = np.column_stack([TURNED[:, :2], np.full(len(TIME), 0.03)]) @ axes
+    turn = Rotation.from_rotvec((TURNED[:, 2:] + 1.0) * axes[2]).as_quat()
+    file = written(tmp_path / "push.csv", NAMES[:8], [TIME, place, turn[:, [3, 0, 1, 2]]], form="{:.9f}")
+    told: list[str] = []
+    for order, right in (("[qx, qy, qz, qw]", False), ("[qy, qz, qw, qx]", True)):
+        told.clear()
+        (tmp_path / "setup.yaml").write_text(
+            f"{SETUP}up: '{up}'\ntip_pose: null\nobject_pose: {{position: [x, y, z], quaternion: {order}}}\n"
+        )
+        import_dataset(file, tmp_path / "setup.yaml", tell=told.append)
+        assert any("if the quaternion were w, x, y, z" in text for text in told) != right

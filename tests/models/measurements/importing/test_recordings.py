@@ -8,7 +8,7 @@ import pytest
 import yaml
 from tables import POSE, SETUP, TIME, TIP, written
 
-from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, read_dataset, write_dataset
 from slipmap.models.measurements.importing import clocks, guess_setup, import_dataset
 from slipmap.models.measurements.importing.import_setup import UNITS
 
@@ -109,6 +109,19 @@ def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
     (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
     assert trial.object_pose.values[:, :2] == pytest.approx(POSE[:, :2], abs=1e-8)
     assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
+
+
+def test_rotations_beside_positions_are_no_positions(tmp_path):
+    """As in an export of Vicon, where RX, RY, RZ stand before TX, TY, TZ."""
+    zero = np.zeros(len(TIME))
+    columns = [TIME, zero, zero, POSE[:, 2], POSE[:, :2], zero]
+    said = yaml.safe_load(
+        guess_setup(written(tmp_path / "p.csv", ["t", "rx", "ry", "rz", "x", "y", "z"], columns))
+    )
+    assert said["object_pose"]["position"] == ["x", "y", "z"]
+    assert said["object_pose"]["rotation_vector"] == ["rx", "ry", "rz"]
+    named = written(tmp_path / "q.csv", ["t", "rx", "ry", "rz"], [*columns[:2], POSE[:, :2]])
+    assert yaml.safe_load(guess_setup(named))["object_pose"]["position"] == ["rx", "ry", "rz"]
 
 
 def test_an_axis_may_stand_before_what_moves(tmp_path):
@@ -471,3 +484,61 @@ def test_a_guess_takes_units_from_names_and_finds_the_number_of_a_push(tmp_path)
     assert [first.name, second.name] == ["p.csv#3", "p.csv#4"]
     assert second.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.2]), abs=1e-7)
     assert second.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def below_one_another(path):
+    """A table of three bodies, one below the other at each time, told apart by a column of names."""
+    zero = np.zeros(len(TIME))
+    mug, finger = np.tile([1.0, 1.0, 0.3], (len(TIME), 1)), np.column_stack([TIP, zero])
+    bodies = {"block": POSE, "mug": mug, "finger": finger}
+    lines = [
+        f"{TIME[row]:.3f},{name}," + ",".join(f"{cell:.6f}" for cell in poses[row])
+        for row in range(len(TIME))
+        for name, poses in bodies.items()
+    ]
+    path.write_text("t,name,x,y,theta\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def test_bodies_below_one_another_are_told_apart_by_their_names(tmp_path):
+    file = below_one_another(tmp_path / "p.csv")
+    says = SETUP + "object_pose: {position: [x, y], angle: theta%s}\ntip_pose: {position: [x, y]%s}\n"
+    (tmp_path / "s.yaml").write_text(says % (", part: block", ", part: finger"))
+    (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.object_pose.values == pytest.approx(POSE, abs=1e-6)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-6)
+    for parts, fault in (
+        (("", ""), "jumps to and fro by .* m from row to row; .* `part`, one of block, finger, mug"),
+        ((", part: blok", ", part: finger"), "has no part 'blok'; there are block, finger, mug"),
+    ):
+        (tmp_path / "s.yaml").write_text(says % parts)
+        with pytest.raises(DatasetError, match=fault):
+            import_dataset(file, tmp_path / "s.yaml")
+
+
+def test_noise_in_a_wrong_unit_makes_no_bodies(tmp_path):
+    """Of poses in 0.1 mm that are read as m, beside a column of words."""
+    rng = np.random.default_rng(0)
+    pose = 1e4 * POSE + rng.normal(0.0, 2.0, POSE.shape) * [1.0, 1.0, 0.0]
+    words = np.where(TIME < 0.4, "rest", "push")
+    lines = [f"{now:.3f},{word},{x},{y},{z}" for now, word, (x, y, z) in zip(TIME, words, pose, strict=True)]
+    file = tmp_path / "p.csv"
+    file.write_text("t,phase,x,y,theta\n" + "\n".join(lines) + "\n")
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {position: [x, y], angle: theta}\ntip_pose: null\n"
+    )
+    told: list[str] = []
+    import_dataset(file, tmp_path / "s.yaml", tell=told.append)
+    assert any("are positions in m" in text for text in told)
+
+
+def test_equal_pushes_of_one_file_are_imported_and_read(tmp_path):
+    """As of a simulation: what an import writes, other commands can read."""
+    number = np.repeat([0.0, 1.0, 2.0], len(TIME))
+    columns = [number, *(np.concatenate([each] * 3) for each in (TIME, POSE, TIP))]
+    file = written(tmp_path / "p.csv", ["push_id", "t", "x", "y", "theta", "a", "b"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    dataset = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None)
+    again = read_dataset(write_dataset(dataset, tmp_path / "pushes"), tell=lambda text: None)
+    assert len(dataset.trials) == len(again.trials) == 3
+    assert any("holds the same measurement" in text and "is one a copy?" in text for text in again.warnings)

@@ -45,6 +45,32 @@ def test_a_line_of_units_under_the_header_is_told(tmp_path):
     (table,) = source(tmp_path, "t,x\n,N/A\n0,1.5\n")
     assert table.numbers("x")[1] == 1.5
 
+    with pytest.raises(DatasetError, match=r"below the header, such as 'mm'"):
+        source(tmp_path, "t,x\n,mm\n0,1.5\n")
+
+
+@pytest.mark.parametrize(
+    "above",
+    ["Experiment: block 7\n", "Block, run 3\n\nOperator;JK\nrate = 100 Hz\n", "# written by hand\nBlock\n"],
+)
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["", "sign"])
+def test_lines_above_the_header_are_passed_over(tmp_path, above, sign, end):
+    rows = [
+        ["t", "x", "y", "z", "w", "v"],
+        *[[f"{0.1 * k:.1f}", "1.5", "2.5", "3", "4", "5"] for k in range(20)],
+    ]
+    lines = [sign.join(row) + (sign if end and k else "") for k, row in enumerate(rows)]
+    (table,) = source(tmp_path, above + "\n".join(lines) + "\n")
+    assert table.numbers("t") == pytest.approx(0.1 * np.arange(20))
+    assert table.numbers("y") == pytest.approx(np.full(20, 2.5))
+
+
+def test_a_header_with_too_few_names_is_shown(tmp_path):
+    rows = "0,1,2,3,4,5\n" * 20
+    with pytest.raises(DatasetError, match=r"row 0: has 6 cells, but the header 't,pose' has 2"):
+        source(tmp_path, "t,pose\n" + rows)
+
 
 @pytest.mark.parametrize(
     ("text", "wanted"),
@@ -138,6 +164,28 @@ def test_times(tmp_path, cells, wanted):
     assert seconds(table, ["when"], None)[0] == pytest.approx(wanted, abs=1e-6, nan_ok=True)
 
 
+def test_missing_times_and_words_that_are_none():
+    stamps = ["NaT", "06.02.2024 15:25:00.5", "", "06.02.2024 15:25:01.0"]
+    time, _ = seconds(Source("a", "", {"t": stamps}), ["t"], None)
+    assert time[3] - time[1] == pytest.approx(0.5) and np.isnan(time[[0, 2]]).all()
+    assert time[1] == pytest.approx(1707233100.5)  # the sixth of February
+    with pytest.raises(DatasetError, match=r"row 0, t: '02/06/2024 03:25 PM' is not a time; write s, 2024-"):
+        seconds(Source("a", "", {"t": ["02/06/2024 03:25 PM"]}), ["t"], None)
+
+
+def test_nanoseconds_since_a_start_are_no_milliseconds_since_1970(tmp_path):
+    """88 minutes in ns are the year 2138 in ms."""
+    count = 5.3e12 + 1e9 * TIME
+    time, told = seconds(Source("a", "", {"t": count}), ["t"], None)
+    assert told == "" and time == pytest.approx(count)
+    names = ["t", "x", "y", "theta", "a", "b"]
+    for factor, unit in ((1.0, "nano"), (1e-3, "micro"), (1e-6, "milli")):
+        file = written(tmp_path / "p.csv", names, [1e9 * factor * TIME, POSE, TIP])
+        (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+        with pytest.raises(DatasetError, match=f"were these {unit}seconds"):
+            import_dataset(file, tmp_path / "s.yaml")
+
+
 def test_rostopic_echo(tmp_path):
     names = "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x"
     (table,) = source(tmp_path, names + "\n1700000000300000000,1,1700000000250000000,/world,0.5\n")
@@ -209,7 +257,7 @@ def test_two_coordinates_of_a_motive_export_are_refused(tmp_path):
         ("t,x\n", "no rows"),
         ("#\n", "no rows"),
         ("# t,x\n#\n\n", "no rows"),
-        ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header has 2"),
+        ("t,x\n1,2,3\n", "row 0: has 3 cells, but the header 't,x' has 2"),
         ("a\0b", "not a text file"),
         ("Format Version,1.23,Take Name,t\n1,2\n", "lacks the lines Name and Frame"),
         ("Objects\nfast\n,,a\nFrame,Sub Frame,RX\n,,deg\n1,0,1\n", "the rate in Hz"),

@@ -1,0 +1,85 @@
+"""What a force sensor reads without contact: taken off each push, and off those that do not show it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.importing.clocks import bias_matters, free_force
+from slipmap.models.measurements.push_dataset import Setup
+from slipmap.models.measurements.trial import Channel, Trial
+from slipmap.models.physics.cell_grid import FloatArray
+
+_FEWEST_AGREEING = 2  # pushes of a session
+_LARGEST_SPREAD = 0.25  # of their biases, relative to the bias, with which it is a common one
+
+
+class Bias(NamedTuple):
+    """The reading of a force sensor without contact."""
+
+    value: FloatArray  # (2,) N, along the table's x and y
+    matters: bool  # whether it is significant and not small
+
+
+def force_at_rest(
+    setup: Setup, trial: Trial, usual: FloatArray | None = None
+) -> tuple[Trial, str, Bias | None]:
+    """The trial with the bias of its force sensor removed, a remark, and the bias if the trial shows it.
+
+    Args:
+        usual: (2,) N, bias of the session, for a trial that does not show its own.
+    """
+    force = trial.ft_wrench
+    assert force is not None
+    free = free_force(setup, trial.object_pose, trial.tip_pose, force)
+    if free is None:
+        why = "no rows before touch"
+        if usual is None:
+            return trial, f"ft_wrench: {why}, so its bias is unknown; left as it is", None
+        text = f"ft_wrench: bias {_newtons(usual)} of the other pushes taken off, since there are {why}"
+        return _without(trial, usual), text, None
+    bias, error, count = free
+    found = Bias(bias, bias_matters(bias, error, force))
+    if not found.matters:
+        return trial, "ft_wrench: no significant bias before touch; left as it is", found
+    text = f"ft_wrench: bias {_newtons(bias)} on {count} rows without touch taken off"
+    return _without(trial, bias), text, found
+
+
+def _without(trial: Trial, bias: FloatArray) -> Trial:
+    force = trial.ft_wrench
+    assert force is not None
+    return replace(trial, ft_wrench=Channel(force.time, force.values - np.append(bias, 0.0)))
+
+
+def _newtons(bias: FloatArray) -> str:
+    return f"({bias[0]:.3f}, {bias[1]:.3f}) N"
+
+
+def usual_bias(biases: Sequence[Bias | None]) -> FloatArray | None:
+    """(2,) the bias, N, on which the pushes of a session agree; None if it is small, or they do not."""
+    known = [one for one in biases if one is not None]
+    if len(known) < _FEWEST_AGREEING or 2 * sum(one.matters for one in known) <= len(known):
+        return None
+    values = np.array([one.value for one in known])
+    middle = np.median(values, axis=0)
+    apart = float(np.median(np.hypot(*(values - middle).T)))
+    return middle if apart < _LARGEST_SPREAD * float(np.hypot(*middle)) else None
+
+
+def unknown_biases(biases: Mapping[str, Bias | None]) -> list[str]:
+    """A warning if pushes, by name, have a bias that others do not show and that is not the same in all."""
+    shown = [one.value for one in biases.values() if one is not None and one.matters]
+    unknown = [name for name, one in biases.items() if one is None]
+    if not shown or not unknown or usual_bias(list(biases.values())) is not None:
+        return []
+    largest = max(float(np.hypot(*bias)) for bias in shown)
+    return [
+        f"{parsing.listed(unknown)}: the force's bias is unknown, since there are no rows before touch; in"
+        f" other pushes it is up to {largest:.2g} N, but not the same in all. Record each push from before"
+        " the touch on, or give ft_wrench.offset, the reading without contact"
+    ]
