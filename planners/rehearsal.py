@@ -113,6 +113,8 @@ def separations(
     grid: CellGrid,
     pose_rows: float,
     force_rows: float,
+    *,
+    ends_only: bool = False,
 ) -> FloatArray:
     """(pairs, B) distances between the predictions of each pair of models, in standard deviations.
 
@@ -123,22 +125,25 @@ def separations(
         grid: the object.
         pose_rows: number of tracker rows averaged in an observed pose.
         force_rows: the same for a force; 0 if none is measured.
+        ends_only: whether the object is seen only before and after a push.
     """
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
     centroid, radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
     for b, push in enumerate(pushes):
-        poses = np.array([p.poses[b] for p in predictions])
+        first = -1 if ends_only else 0
+        poses = np.array([p.poses[b, first:] for p in predictions])
         forces = np.array([p.forces[b] for p in predictions])
         if not np.isfinite(poses).all():
             continue
         middle = np.mean(forces, axis=0)
         counts = _steady(push, middle) if force_rows else np.zeros(SAMPLES, dtype=bool)
+        assert push.pose_times is not None
         stretch = len(push.tip) - 1
         times = push.h * stretch * (np.arange(SAMPLES) + 0.5) / SAMPLES
         imagined = Observation(
-            "", "fit", replace(push, force_times=times),
-            np.mean(poses, axis=0), np.full(SAMPLES, pose_rows), 1,
+            "", "fit", replace(push, pose_times=push.pose_times[first:], force_times=times),
+            np.mean(poses, axis=0), np.full(poses.shape[1], pose_rows), 1,
             middle, np.full(SAMPLES, force_rows), counts,
         )  # fmt: skip
         lasting = error.pose_covariance(imagined, travelled(imagined, grid.centers), radius)

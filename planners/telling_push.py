@@ -190,8 +190,9 @@ class Question:
         """(pairs, B) the same for each of the pairs that count."""
         predicted = [predict(rival, pushes) for rival in self.rivals]
         apart = separations(
-            predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows
-        )
+            predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows,
+            ends_only=self.habits.ends_only,
+        )  # fmt: skip
         place = {pair: k for k, pair in enumerate(combinations(range(len(self.rivals)), 2))}
         apart = apart[[place[pair] for pair in self.pairs]]
         kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
@@ -260,6 +261,7 @@ class Habits:
     pose_rows: float  # number of tracker rows averaged in an observed pose
     force_rows: float  # the same for a force; 0 if none was measured
     pushes: int  # number of recorded pushes
+    ends_only: bool  # whether the object was seen only before and after them
 
 
 def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
@@ -283,6 +285,7 @@ def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habi
         float(np.median(np.concatenate([o.pose_rows for o in observations]))),
         float(np.median(force_rows)) if len(force_rows) else 0.0,
         len(dataset.trials),
+        all(trial.ends_only for trial in dataset.trials),
     )
 
 
@@ -464,7 +467,7 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
     for rival in rivals:
         apart = separations(
             [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid,
-            habits.pose_rows, habits.force_rows,
+            habits.pose_rows, habits.force_rows, ends_only=habits.ends_only,
         )  # fmt: skip
         seen.append(float(np.linalg.norm(apart)))
     visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]

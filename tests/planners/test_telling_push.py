@@ -232,6 +232,24 @@ def test_one_effect_is_pinned_down_at_the_ends_of_its_interval(world: World) -> 
     ]
 
 
+def test_what_only_the_way_shows_is_not_told_by_pushes_seen_at_their_ends(world: World) -> None:
+    """A late tracker changes no pose at rest."""
+    question = robots_question(
+        world.diagnosis("effect", [world.model("sensor_latency", (0.05,))]), world.dataset
+    )
+    assert question is not None
+    pushes = [push_of(next_push(world.diagnosis("undecided", []), world.dataset))]
+    ends = [
+        replace(trial, object_pose=replace(trial.object_pose, time=time[[0, -1]], values=poses[[0, -1]]))
+        for trial in world.dataset.trials
+        for time, poses in [(trial.object_pose.time, trial.object_pose.values)]
+    ]
+    habits = telling_push.habits_of(world.observations, replace(world.dataset, trials=tuple(ends)))
+    assert habits.ends_only and not question.habits.ends_only
+    assert question.told_by(pushes)[0] > 10.0
+    assert replace(question, habits=habits).told_by(pushes)[0] < 0.01
+
+
 def test_a_push_claims_only_what_it_tells(world: World, monkeypatch) -> None:
     """Of three models, two are predicted alike, or all are."""
     tilt, tether = (
