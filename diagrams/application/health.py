@@ -139,7 +139,7 @@ def _cache() -> Finding:
             file.write(b"slipmap")
     except OSError as error:
         return _finding(name, False, f"{CACHE_FOLDER}: {error.strerror}", remedy)
-    state = "empty; the first run compiles for half a minute" if needs_compiling() else "filled"
+    state = "empty; the first run compiles for up to two minutes" if needs_compiling() else "filled"
     return _finding(name, True, f"{CACHE_FOLDER}, {state}")
 
 

@@ -101,7 +101,7 @@ def prepare_kernels() -> None:
             " variable SLIPMAP_CACHE to a folder that you may write to"
         ) from error
     if needs_compiling():
-        note("Compiling the kernels for this machine, once (about half a minute)…")
+        note("Compiling the kernels for this machine, once (up to two minutes)…")
         _compiling[0].told = True
 
 

@@ -134,7 +134,7 @@ def without_or_with(without: Any, given: Any) -> Any:
 
 
 def needs_compiling() -> bool:
-    """Whether the next call of a kernel must compile it first, which takes about half a minute."""
+    """Whether the next call of a kernel must compile it first, which takes half a minute to two minutes."""
     return not any(CACHE_FOLDER.glob("**/*.nbc"))
 
 
