@@ -1,16 +1,18 @@
-"""Tracker rows that cannot be true: exact zeros or another code while the object is elsewhere, as receivers
-publish for what they do not see, and jumps or flips that the next rows undo.
+"""Rows that cannot be true: a tracker's exact zeros or another code while the object is elsewhere, as
+receivers publish for what they do not see, its jumps or flips that the next rows undo, and spikes of a force.
 
 Otherwise a single pose flipped by half a turn would shift every later row by a whole turn when angles are
 unwrapped.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 _JUMP = 0.01  # m
@@ -22,6 +24,7 @@ _END_ROWS = 2  # longest jump at an end of the record, where nothing comes back
 _END_FACTOR = 3.0  # such a jump must be larger by this factor
 _BLIND = 0.2  # s without a row, after which the object may be anywhere
 _FEWEST_REPEATS = 3  # of a pose
+_SPIKE = 10.0  # times the forces beside it
 _FEWEST_ROWS = 6  # fewer rows cannot be judged
 
 
@@ -60,6 +63,35 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
         step, words = stays[0]
         complaint = f"{words} after row {rows[step]}, t = {time[rows[step]]:.3f} s, and stays there"
     return kept, found, complaint
+
+
+def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
+    """The trials without rows of force that stand out of all others, as where a bit is lost on the way, and a
+    warning for each that had some.
+
+    Such a row is over ten times as large as the largest force of a usual push and as the rows before and
+    after it. Of fewer than three pushes none is usual.
+    """
+    sizes = [np.hypot(*trial.ft_wrench.values[:, :2].T) for trial in trials if trial.ft_wrench is not None]
+    usual = float(np.median([size.max(initial=0.0) for size in sizes])) if len(sizes) >= 3 else 0.0
+    if not usual > 0.0:  # also where forces are missing
+        return list(trials), []
+    sound, warnings = [], []
+    for trial in trials:
+        if trial.ft_wrench is not None:
+            time, values = trial.ft_wrench.time, trial.ft_wrench.values
+            size = np.hypot(*values[:, :2].T)
+            before, after = np.pad(size, 1)[:-2], np.pad(size, 1)[2:]
+            spikes = size > _SPIKE * np.maximum(np.maximum(before, after), usual)
+            if spikes.any():
+                trial = replace(trial, ft_wrench=Channel(time[~spikes], values[~spikes]))
+                at = ", ".join(f"{t:.3f}" for t in time[spikes])
+                warnings.append(
+                    f"{trial.name}: ft_wrench is up to {size[spikes].max():.4g} N at t = {at} s, over"
+                    f" {_SPIKE:.0f} times the forces beside it and in most pushes; left out"
+                )
+        sound.append(trial)
+    return sound, warnings
 
 
 def _code_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:

@@ -11,6 +11,7 @@ import shapely
 
 from slipmap.models.geometry import placed
 from slipmap.models.measurements import parsing
+from slipmap.models.measurements.bad_rows import without_force_spikes
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
     FRAME_WRONG,
@@ -84,6 +85,8 @@ def check_trials(
     if not chosen:
         raise DatasetError(f"{where}: every trial says `keep: false`; at least one push is needed")
     warnings = _copies(chosen, where, imported)
+    chosen, spikes = without_force_spikes(chosen)
+    warnings += spikes
     doubts = [(trial.name, fault) for trial in chosen for fault in _faults(setup, trial, where)]
     # A frozen tracker or degrees for rad are reported already; do not report their consequences.
     sound = [

@@ -1,14 +1,17 @@
 """Rows that cannot be true are left out, before angles are unwrapped, and named."""
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from example_dataset import push_record
 from spoilt_datasets import record
 
-from slipmap.models.measurements import read_dataset
-from slipmap.models.measurements.bad_rows import sound_rows
+from slipmap.diagrams.application.demonstration import tilted_block
+from slipmap.models.measurements import read_dataset, write_dataset
+from slipmap.models.measurements.bad_rows import sound_rows, without_force_spikes
 
 
 def flip(rows, row, angle=math.pi):
@@ -151,3 +154,32 @@ def test_rest_is_no_repeat():
     put = np.where(time[:, None] < 6.0, [0.0, 0.0, 0.0], [0.05, 0.0, 0.0])
     for values in (resting, put):
         assert sound_rows(time, values + np.array([0.3, -0.2, 0.1]))[0].all()
+
+
+def test_a_spike_of_force_is_left_out_and_named(tmp_path):
+    dataset = tilted_block()
+    trials = list(dataset.trials)
+    wrench = trials[4].ft_wrench
+    spoilt = wrench.values.copy()
+    spoilt[7, :2] = [3000.0, -4000.0]
+    trials[4] = replace(trials[4], ft_wrench=replace(wrench, values=spoilt))
+    write_dataset(replace(dataset, trials=tuple(trials)), tmp_path / "spoilt")
+    found = read_dataset(tmp_path / "spoilt")
+    (warning,) = found.warnings
+    assert re.search(
+        rf"004\.json: ft_wrench is up to 5000 N at t = {wrench.time[7]:.3f} s, over 10 times", warning
+    )
+    kept = found.trials[4].ft_wrench
+    assert np.allclose(kept.time, np.delete(wrench.time, 7))
+    assert np.allclose(kept.values, np.delete(wrench.values, 7, axis=0), atol=1e-6)
+    # Strong is not odd where all pushes are, nor where rows beside it are.
+    for strong in ([4], range(12)):
+        stronger = [
+            replace(one, ft_wrench=replace(one.ft_wrench, values=100.0 * one.ft_wrench.values))
+            if number in strong
+            else one
+            for number, one in enumerate(dataset.trials)
+        ]
+        assert without_force_spikes(stronger) == (stronger, [])
+    # Of two pushes none is usual.
+    assert without_force_spikes(trials[3:5]) == (trials[3:5], [])
