@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -88,9 +89,10 @@ def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str
             spikes[spikes] = [not _strikes(trial.object_pose, t) for t in time[spikes]]
             if spikes.any():
                 trial = replace(trial, ft_wrench=Channel(time[~spikes], values[~spikes]))
+                largest = parsing.rounded(float(size[spikes].max()), 3)
                 at = ", ".join(f"{t:.3f}" for t in time[spikes])
                 warnings.append(
-                    f"{trial.name}: ft_wrench is up to {size[spikes].max():.4g} N at t = {at} s, over"
+                    f"{trial.name}: ft_wrench is up to {largest} N at t = {at} s, over"
                     f" {_SPIKE:.0f} times the forces beside it and in most pushes; left out"
                 )
         sound.append(trial)

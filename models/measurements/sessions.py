@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.geometry import angle_between
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import FloatArray
@@ -112,9 +113,10 @@ def _overlap(one: Carry, other: Carry) -> bool:
 
 def _silence_text(time: FloatArray, silence: Carry) -> str:
     """Description of a pause of the recording, given the stamps of the poses."""
+    lasts = float(time[silence.last]) - silence.time
     return (
-        f"there are no rows of object and finger for {time[silence.last] - silence.time:.3g} s from"
-        f" t = {silence.time:.1f} s on"
+        f"there are no rows of object and finger for {parsing.rounded(lasts, 3)} s from t ="
+        f" {silence.time:.1f} s on"
     )
 
 

@@ -12,7 +12,6 @@ from slipmap.models.measurements import parsing
 from slipmap.models.measurements.importing.clocks import bias_matters, free_force
 from slipmap.models.measurements.push_dataset import Setup
 from slipmap.models.measurements.trial import Channel, Trial
-from slipmap.models.measurements.trial_checks import rounded
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FEWEST_AGREEING = 2  # pushes of a session
@@ -78,7 +77,7 @@ def unknown_biases(biases: Mapping[str, Bias | None]) -> list[str]:
     unknown = [name for name, one in biases.items() if one is None]
     if not shown or not unknown or usual_bias(list(biases.values())) is not None:
         return []
-    largest = rounded(max(float(np.hypot(*bias)) for bias in shown.values()), 2)
+    largest = parsing.rounded(max(float(np.hypot(*bias)) for bias in shown.values()), 2)
     size = (
         f"{largest} N, and no other push shows one" if len(shown) == 1 else f"up to {largest} N and differs"
     )

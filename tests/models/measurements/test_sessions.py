@@ -120,6 +120,8 @@ def test_a_recording_is_cut_where_it_pauses():
     for push, whole in zip(pushes, setup.trials, strict=True):
         assert np.array_equal(push.object_pose.values, whole.object_pose.values[:72])
     assert "no rows of object and finger for 3.01 s from t = 0.7 s on and 2 more times" in told[0]
+    (told,) = cut_at_carries(setup, [pressed(1500.0)], "all.csv")[1]
+    assert "no rows of object and finger for 1500 s" in told
 
 
 def test_carrying_and_pauses_are_counted_apart(recorded):
