@@ -22,9 +22,10 @@ _FASTER = 3.0  # times nearly all other steps of the record
 _MOST_ROWS = 5  # longest jump, in rows, or
 _MOST_SHARE = 0.1  # as a share of the rows
 _END_ROWS = 2  # longest jump at an end of the record, where nothing comes back
-_END_FACTOR = 3.0  # such a jump must be larger by this factor
+_END_FACTOR = 3.0  # such a jump, and one to where the object stands for long, must be larger by this factor
 _BLIND = 0.2  # s without a row, after which the object may be anywhere
 _FEWEST_REPEATS = 3  # of a pose
+_FAR = 0.1  # m from the other rows, of a code
 _BRAKES = 10.0  # m/s², by which friction slows an object down at most
 _SPIKE, _FEWEST_FORCES = 10.0, 3  # times the forces beside it, and rows of force among which it is one
 _BLOW, _STRUCK = 0.1, 2e-3  # s before and after a blow, and m that the object moves by it
@@ -127,10 +128,10 @@ def _code_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
 
 
 def _far_from_others(values: FloatArray, code: float) -> bool:
-    """Whether x = y = code lies farther from where the other rows are than these lie apart."""
+    """Whether x = y = code lies farther from where the other rows are than these lie apart, and 0.1 m."""
     others = values[(values != code).any(axis=1), :2]
     low, high = others.min(axis=0, initial=np.inf), others.max(axis=0, initial=-np.inf)
-    return bool(np.maximum(low - code, code - high).max() > (high - low).max())
+    return bool(np.maximum(low - code, code - high).max() > max(_FAR, (high - low).max()))
 
 
 def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]:
@@ -145,6 +146,9 @@ def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]
         first = int(moving[-1]) + 1 if len(moving) else 0  # the row that is repeated
         ends = (first - _MOST_ROWS, first), (last + 1, last + 1 + _MOST_ROWS)
         if last - first < _FEWEST_REPEATS or ends[0][0] < 0 or ends[1][1] >= len(time):
+            continue
+        beside = max(step[begin:end].max() for begin, end in ends)
+        if step[last] < _FASTER * beside:  # as where poses are coarse, or come less often than rows
             continue
         speeds = [float(np.hypot(*(values[b] - values[a])[:2]) / (time[b] - time[a])) for a, b in ends]
         jumped = step[last] / (time[last + 1] - time[first])
@@ -184,7 +188,7 @@ def _jumps(
     longest = max(_MOST_ROWS, int(_MOST_SHARE * len(time)))
     held = (values[1:, :2] == values[:-1, :2]).all(axis=1)  # as a tracker that lost the object may do
     # A struck object may rest at its new place and be struck back, but slides for a while each time.
-    leaps = step[:, 0] * _JUMP > np.maximum(_JUMP, 0.5 * _BRAKES * np.diff(time) ** 2)
+    leaps = step[:, 0] * _JUMP > np.maximum(_END_FACTOR * _JUMP, 0.5 * _BRAKES * np.diff(time) ** 2)
     jumps: list[tuple[NDArray[np.int_], str]] = []
     stays: list[tuple[int, str]] = []
     done = -1

@@ -139,6 +139,13 @@ def test_a_finger_at_which_x_equals_y_is_sound(fall):
     assert kept.all() and (found, complaint) == ({}, "")
 
 
+def test_a_finger_known_to_10_mm_that_rests_where_x_equals_y_is_sound():
+    tips = np.where(np.arange(200)[:, None] < 85, [0.39, 0.38], [0.39, 0.39])
+    assert sound_rows(0.01 * np.arange(200), tips)[0].all()
+    there_and_back = np.where(np.abs(np.arange(200) - 100)[:, None] < 15, [0.401, 0.101], [0.39, 0.09])
+    assert sound_rows(0.01 * np.arange(200), there_and_back)[0].all()
+
+
 def test_an_object_that_is_struck_to_and_fro_and_rests_in_between_is_sound():
     """At 10 Hz, as a simulator records it: each blow lasts less than a row, and resting poses are equal."""
     time = 0.1 * np.arange(200)
@@ -171,6 +178,14 @@ def test_repeats_of_the_last_pose_are_left_out():
     assert np.flatnonzero(~kept).tolist() == list(range(80, 110))
     assert list(found) == ["repeats the pose before, while the object moves on as the next pose shows"]
     assert complaint == ""
+
+
+@pytest.mark.parametrize("rows", [4, 5, 8])
+def test_poses_that_come_less_often_than_rows_are_no_repeats(rows):
+    """Of a tracker at 60 Hz, say, in a log at 240 Hz, of an object that moves by over 10 mm per pose."""
+    time = np.arange(240) / 240.0
+    poses = moving(8.0 * time)[np.arange(240) // rows * rows]
+    assert sound_rows(time, poses + np.array([0.3, -0.2, 0.1]))[0].all()
 
 
 def test_rest_is_no_repeat():
