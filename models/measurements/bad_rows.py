@@ -70,8 +70,8 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
 
 
 def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """The trials without rows of force that stand out of all others, as where a bit is lost on the way, and a
-    warning for each that had some.
+    """The trials without rows of force that stand out from all others, as when a bit is lost on the way,
+    and a warning for each that had some.
 
     Such a row is over ten times as large as the largest force of a usual push and as the rows before and
     after it, and strikes no object. Of fewer than three pushes none is usual.
