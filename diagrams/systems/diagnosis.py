@@ -103,10 +103,10 @@ class Repair:
         trials, effects = int(stored["trials"]), tuple(stored["effects"])
         last = findings[-1] if findings else None
         if last is not None and last.action == "pushes on" and last.telling and last.pushes == trials:
-            findings, trials = findings[:-1], trials - 1
+            return cls(trials - 1, effects, int(stored["wanted"]), findings[:-1])
         found = cls(trials, effects, int(stored["wanted"]), findings)
         if last is not None and last.telling and found.tried is not None:
-            found = replace(found, trials=trials - 1, asks_again=True)
+            return replace(found, trials=trials - 1, asks_again=True)
         return found
 
 

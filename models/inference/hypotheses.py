@@ -197,7 +197,7 @@ def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_bes
         _balanced((hypotheses, B, stretches, 3), len(ladder), of_errors),
         _balanced((hypotheses, B, 2), len(ladder), of_errors),
     )
-    if keep_best:
+    if keep_best:  # whose own errors are missing from the mean of zero then
         weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
         errors.poses[0] = errors.forces[0] = 0.0
     return Draws(weights, prior_mean, strength, errors)

@@ -39,9 +39,12 @@ class Quantity:
     def numbers(self, *values: float, factor: float = 1.0) -> tuple[str, ...]:
         """Values and the ends of the interval, times a factor, with as many digits as the interval justifies.
 
-        Where the interval spans decades, each number has two significant figures instead.
+        Where the interval spans decades, each number has two significant figures instead; where it has no
+        width, four.
         """
         low, high = factor * self.low, factor * self.high
+        if high - low <= 1e-9 * abs(high):
+            return tuple(f"{factor * number:.4g}" for number in (*values, self.low, self.high))
         decades = low > 0 and high > 5 * low
         return tuple(
             f"{number:z.{decimals(number if decades else high - low)}f}"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -21,10 +22,13 @@ _FASTER = 3.0  # times nearly all other steps of the record
 _MOST_ROWS = 5  # longest jump, in rows, or
 _MOST_SHARE = 0.1  # as a share of the rows
 _END_ROWS = 2  # longest jump at an end of the record, where nothing comes back
-_END_FACTOR = 3.0  # such a jump must be larger by this factor
+_END_FACTOR = 3.0  # such a jump, and one to where the object stands for long, must be larger by this factor
 _BLIND = 0.2  # s without a row, after which the object may be anywhere
 _FEWEST_REPEATS = 3  # of a pose
-_SPIKE = 10.0  # times the forces beside it
+_FAR = 0.1  # m from the other rows, of a code
+_BRAKES = 10.0  # m/s², by which friction slows an object down at most
+_SPIKE, _FEWEST_FORCES = 10.0, 3  # times the forces beside it, and rows of force among which it is one
+_BLOW, _STRUCK = 0.1, 2e-3  # s before and after a blow, and m that the object moves by it
 _FEWEST_ROWS = 6  # fewer rows cannot be judged
 
 
@@ -66,11 +70,11 @@ def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_],
 
 
 def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """The trials without rows of force that stand out of all others, as where a bit is lost on the way, and a
-    warning for each that had some.
+    """The trials without rows of force that stand out from all others, as when a bit is lost on the way,
+    and a warning for each that had some.
 
     Such a row is over ten times as large as the largest force of a usual push and as the rows before and
-    after it. Of fewer than three pushes none is usual.
+    after it, and strikes no object. Of fewer than three pushes none is usual.
     """
     sizes = [np.hypot(*trial.ft_wrench.values[:, :2].T) for trial in trials if trial.ft_wrench is not None]
     usual = float(np.median([size.max(initial=0.0) for size in sizes])) if len(sizes) >= 3 else 0.0
@@ -78,25 +82,38 @@ def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str
         return list(trials), []
     sound, warnings = [], []
     for trial in trials:
-        if trial.ft_wrench is not None:
+        if trial.ft_wrench is not None and len(trial.ft_wrench.time) >= _FEWEST_FORCES:
             time, values = trial.ft_wrench.time, trial.ft_wrench.values
             size = np.hypot(*values[:, :2].T)
             before, after = np.pad(size, 1)[:-2], np.pad(size, 1)[2:]
             spikes = size > _SPIKE * np.maximum(np.maximum(before, after), usual)
+            spikes[spikes] = [not _strikes(trial.object_pose, t) for t in time[spikes]]
             if spikes.any():
                 trial = replace(trial, ft_wrench=Channel(time[~spikes], values[~spikes]))
+                largest = parsing.rounded(float(size[spikes].max()), 3)
                 at = ", ".join(f"{t:.3f}" for t in time[spikes])
                 warnings.append(
-                    f"{trial.name}: ft_wrench is up to {size[spikes].max():.4g} N at t = {at} s, over"
+                    f"{trial.name}: ft_wrench is up to {largest} N at t = {at} s, over"
                     f" {_SPIKE:.0f} times the forces beside it and in most pushes; left out"
                 )
         sound.append(trial)
     return sound, warnings
 
 
+def _strikes(pose: Channel, t: float) -> bool:
+    """Whether the object rests before and moves after a moment, s, as if struck then."""
+    place = pose.at([t - _BLOW, t, t + _BLOW])[:, :2]
+    before, after = np.hypot(*np.diff(place, axis=0).T)
+    return bool(after > _STRUCK and after > _FASTER * before)
+
+
 def _code_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
-    """Runs of rows with one number in all columns, such as 0, if the rows on both sides lie elsewhere."""
+    """Runs of rows with one number in all columns, such as 0, if the rows on both sides lie elsewhere.
+
+    A number other than 0 must lie far from all other rows: a finger on a diagonal also has x = y.
+    """
     alike = np.flatnonzero((values == values[:, :1]).all(axis=1))
+    alike = alike[[code == 0.0 or _far_from_others(values, code) for code in values[alike, 0]]]
     if not 0 < len(alike) < len(values) - 1:
         return
     codes = values[alike, 0]
@@ -108,6 +125,13 @@ def _code_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
             len(inside) > 1 or _sudden(away[0], _step(values, *inside[0]))
         ):
             yield run
+
+
+def _far_from_others(values: FloatArray, code: float) -> bool:
+    """Whether x = y = code lies farther from where the other rows are than these lie apart, and 0.1 m."""
+    others = values[(values != code).any(axis=1), :2]
+    low, high = others.min(axis=0, initial=np.inf), others.max(axis=0, initial=-np.inf)
+    return bool(np.maximum(low - code, code - high).max() > max(_FAR, (high - low).max()))
 
 
 def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]:
@@ -122,6 +146,9 @@ def _repeats(time: FloatArray, values: FloatArray) -> Iterator[NDArray[np.int_]]
         first = int(moving[-1]) + 1 if len(moving) else 0  # the row that is repeated
         ends = (first - _MOST_ROWS, first), (last + 1, last + 1 + _MOST_ROWS)
         if last - first < _FEWEST_REPEATS or ends[0][0] < 0 or ends[1][1] >= len(time):
+            continue
+        beside = max(step[begin:end].max() for begin, end in ends)
+        if step[last] < _FASTER * beside:  # as where poses are coarse, or come less often than rows
             continue
         speeds = [float(np.hypot(*(values[b] - values[a])[:2]) / (time[b] - time[a])) for a, b in ends]
         jumped = step[last] / (time[last + 1] - time[first])
@@ -160,6 +187,8 @@ def _jumps(
     steps = np.flatnonzero(large.any(axis=1))
     longest = max(_MOST_ROWS, int(_MOST_SHARE * len(time)))
     held = (values[1:, :2] == values[:-1, :2]).all(axis=1)  # as a tracker that lost the object may do
+    # A struck object may rest at its new place and be struck back, but slides for a while each time.
+    leaps = step[:, 0] * _JUMP > np.maximum(_END_FACTOR * _JUMP, 0.5 * _BRAKES * np.diff(time) ** 2)
     jumps: list[tuple[NDArray[np.int_], str]] = []
     stays: list[tuple[int, str]] = []
     done = -1
@@ -167,7 +196,7 @@ def _jumps(
         if first <= done:
             continue
         for last in steps[place + 1 :].tolist():
-            stands = bool(held[first + 1 : last].all())
+            stands = bool(leaps[first] and leaps[last] and held[first + 1 : last].all())
             if last - first > longest and not stands:
                 break
             # Meanwhile the object may have moved on at its usual speed.

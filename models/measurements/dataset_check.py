@@ -454,9 +454,8 @@ def _lag_of_finger(
     if cause is not None and (cause.kind in FRAME_WRONG or (cause.kind != "lag" and not close)):
         return Finding(what, found if cause.kind == "radius" else text, "note", cause.text)
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
-    if air and float(np.median(air)) > 2.0 * (
-        apart + CALIBRATION_ERROR
-    ):  # a lag leaves as much air as it moves
+    most_air = 2.0 * (apart + CALIBRATION_ERROR)  # a lag leaves as much air as the finger moves in it
+    if air and float(np.median(air)) > most_air:
         return Finding(what, text, "note", _NO_COMMON_LAG)
     if cause is None and len(lags) < _LEAST_SHARE * pushes:
         return Finding(what, f"{text}, from only {len(lags)} of {pushes} pushes", "note")

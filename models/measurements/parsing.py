@@ -343,6 +343,11 @@ def shown_error(error: Exception) -> str:
     return message if len(message) <= 200 else message[:197] + "..."
 
 
+def rounded(value: float, digits: int) -> str:
+    """A number with so many significant digits, and no power of ten below a million."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
 def listed(names: Sequence[str], most: int = 5) -> str:
     """The first names of a list, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -324,7 +323,9 @@ class PushDataset(Setup):
             ("finger height", self.finger_height),
             ("gravity", self.gravity),
         ):
-            if value is not None and not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+            number = np.asarray(value)  # as np.load gives a mass
+            sound = number.ndim == 0 and number.dtype.kind in "iuf" and np.isfinite(number) and number > 0
+            if value is not None and not sound:
                 raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value!r}")
         if self.finger_radius > THICKEST_FINGER:
             raise DatasetError(TOO_THICK.format(where="finger radius", value=self.finger_radius))

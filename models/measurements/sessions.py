@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.geometry import angle_between
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import FloatArray
@@ -112,10 +113,16 @@ def _overlap(one: Carry, other: Carry) -> bool:
 
 def _silence_text(time: FloatArray, silence: Carry) -> str:
     """Description of a pause of the recording, given the stamps of the poses."""
+    lasts = float(time[silence.last]) - silence.time
     return (
-        f"there are no rows of object and finger for {time[silence.last] - silence.time:.3g} s from"
-        f" t = {silence.time:.1f} s on"
+        f"there are no rows of object and finger for {parsing.rounded(lasts, 3)} s from t ="
+        f" {silence.time:.1f} s on"
     )
+
+
+def _more_times(found: Sequence[Carry]) -> str:
+    more = len(found) - 1
+    return f" and {more} more time{'s' if more > 1 else ''}" if more else ""
 
 
 def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
@@ -139,13 +146,14 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         ends = [*(time[carry.first] for carry in found), time[-1]]
         pieces = [_between(trial, begin, end, reach) for begin, end in zip(begins, ends, strict=True)]
         pushes = [piece for piece in pieces if piece is not None]
-        text = carried_text(carried[0]) if carried else _silence_text(time, silent[0])
+        texts = [carried_text(carried[0]) + _more_times(carried)] if carried else []
+        texts += [_silence_text(time, silent[0]) + _more_times(silent)] if silent else []
+        text = ", and ".join(texts)
         if not pushes:
             raise DatasetError(f"{where}: {text}; cut the recording into its pushes")
         warnings.append(
-            f"{where}: {text}"
-            + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
-            + f"; the recording was cut there into {len(pushes)} push{'es' if len(pushes) > 1 else ''}"
+            f"{where}: {text}; the recording was cut there into {len(pushes)}"
+            f" push{'es' if len(pushes) > 1 else ''}"
         )
         result += [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings
@@ -184,7 +192,7 @@ def cut_at_rests(setup: Setup, trial: Trial, longest: float = np.inf) -> list[Tr
         if piece is not None:
             found.append(piece)
     if len(found) < 2:
-        return found
+        return found or [trial]
     return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
 
 

@@ -151,11 +151,6 @@ def never_near(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
     return found, f"{asked} If no finger pushed, import with `tip_pose: null`"
 
 
-def rounded(value: float, digits: int) -> str:
-    """A number with so many significant digits, and no power of ten below a million."""
-    return f"{float(f'{value:.{digits}g}'):g}"
-
-
 def nothing_pushed(setup: Setup, trials: Sequence[Trial]) -> bool:
     """Whether all objects rest, and all fingers, of which some come within 1 m, stay away from them."""
     near = [trial for trial in trials if trial.finger_near(setup.reach)]
@@ -183,8 +178,8 @@ def too_strong(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
     if setup.mass is not None or pushing is None or pushing <= heaviest:
         return None
     found = (
-        f"ft_wrench is {rounded(pushing, 3)} N while pushing; hardly any object of this size weighs"
-        f" {rounded(heaviest, 3)} N"
+        f"ft_wrench is {parsing.rounded(pushing, 3)} N while pushing; hardly any object of this size weighs"
+        f" {parsing.rounded(heaviest, 3)} N"
     )
     return found, "is the force in N, rather than in grams or mN?"
 
@@ -213,8 +208,8 @@ def odd_for_weight(setup: Setup, trials: Sequence[Trial]) -> OddForce | None:
     size = peak if small else pushing
     share = size / weight
     found = (
-        f"{'at most ' if small else ''}{rounded(size, 3)} N while pushing, {rounded(share, 2)} times the"
-        f" weight of {rounded(setup.mass, 3)} kg"
+        f"{'at most ' if small else ''}{parsing.rounded(size, 3)} N while pushing,"
+        f" {parsing.rounded(share, 2)} times the weight of {parsing.rounded(setup.mass, 3)} kg"
     )
     far = not _LEAST_FRICTION < share < _MOST_FRICTION
     may_be = LEAST_PER_AREA <= setup.mass / setup.grid.polygon.area <= MOST_PER_AREA

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from slipmap.models.geometry import rotated, seen_from
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
 from slipmap.models.measurements.push_dataset import PushDataset, gaps
 from slipmap.models.measurements.trial import Trial
@@ -154,7 +155,7 @@ def quantities_shown(seen: Coverage) -> list[Told]:
 def _fastest_in_words(seen: Coverage) -> str:
     """The highest speed of the object, which poses before and after pushes alone do not tell."""
     measured = seen.fastest or not seen.pushes
-    return f"fastest {1e3 * seen.fastest:.3g} mm/s" if measured else "no poses while it moves"
+    return f"fastest {parsing.rounded(1e3 * seen.fastest, 3)} mm/s" if measured else "no poses while it moves"
 
 
 _Needs = Callable[[Coverage], bool]

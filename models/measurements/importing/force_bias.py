@@ -72,14 +72,17 @@ def usual_bias(biases: Sequence[Bias | None]) -> FloatArray | None:
 
 
 def unknown_biases(biases: Mapping[str, Bias | None]) -> list[str]:
-    """A warning if pushes, by name, have a bias that others do not show and that is not the same in all."""
-    shown = [one.value for one in biases.values() if one is not None and one.matters]
+    """A warning if pushes, by name, have a bias that others do not show and on which they do not agree."""
+    shown = {name: one.value for name, one in biases.items() if one is not None and one.matters}
     unknown = [name for name, one in biases.items() if one is None]
     if not shown or not unknown or usual_bias(list(biases.values())) is not None:
         return []
-    largest = max(float(np.hypot(*bias)) for bias in shown)
+    largest = parsing.rounded(max(float(np.hypot(*bias)) for bias in shown.values()), 2)
+    size = (
+        f"{largest} N, and no other push shows one" if len(shown) == 1 else f"up to {largest} N and differs"
+    )
     return [
         f"{parsing.listed(unknown)}: the force's bias is unknown, since there are no rows before touch; in"
-        f" other pushes it is up to {largest:.2g} N, but not the same in all. Record each push from before"
-        " the touch on, or give ft_wrench.offset, the reading without contact"
+        f" {parsing.listed(list(shown))} it is {size}. Record each push from before the touch on, or give"
+        " ft_wrench.offset, the reading without contact"
     ]

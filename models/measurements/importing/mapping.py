@@ -434,8 +434,8 @@ def _refuse_several_bodies(table: FloatArray, source: Source, name: str) -> None
     left = float(np.median(np.min(returns, axis=0)))
     if jumps.sum() > _JUMPING * len(place) and left < _RETURNS * apart:
         raise DatasetError(
-            f"{source.where}: {name} jumps to and fro by {apart:.2g} m from row to row; if the rows are of"
-            f" several bodies, give `part`, one of {parsing.listed(words)}"
+            f"{source.where}: {name} jumps to and fro by {parsing.rounded(apart, 2)} m from row to row; if"
+            f" the rows are of several bodies, give `part`, one of {parsing.listed(words)}"
         )
 
 

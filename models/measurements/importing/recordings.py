@@ -33,7 +33,7 @@ from slipmap.models.measurements.importing.import_setup import (
 from slipmap.models.measurements.importing.mapping import is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source, names_in, rows_named
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
-from slipmap.models.measurements.push_dataset import PushDataset
+from slipmap.models.measurements.push_dataset import PushDataset, Setup
 from slipmap.models.measurements.reading import IMPORTED, last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Trial, in_order
@@ -48,6 +48,11 @@ _NOWHERE = 100.0  # m from the object, where an absent finger is placed
 _LONGEST = 1e5  # s of a recording
 _FEWEST_ROWS = 10  # rows of a push after which stamps may start again,
 _NEAR_START = 0.1  # within this share of its duration from where they began
+_CUT_WHERE = {
+    "while the finger is away": "the object is carried while the finger is away",
+    "no rows of object and finger": "nothing was recorded for a while",
+}
+"""Words of `cut_at_carries`, and the remark to which they lead."""
 
 
 def import_dataset(
@@ -61,9 +66,10 @@ def import_dataset(
     """Import a push dataset from a laboratory's own files: motion-capture exports, robot logs, bags, tables.
 
     Files that belong together form one recording: those whose patterns match the same text at the `*`. A
-    recording is brought to one clock, cut into pushes where the object rests and the finger leaves it, or
-    where the object is carried, and checked as in `read_dataset`. The processing steps are listed in the
-    dataset's `provenance`. The last quarter of the pushes is held out, unless the setup names others.
+    recording is brought to one clock, cut into pushes where the object rests and the finger leaves it, where
+    the object is carried, or where nothing was recorded for a while, and checked as in `read_dataset`. The
+    processing steps are listed in the dataset's `provenance`. The last quarter of the pushes is held out,
+    unless the setup names others.
 
     Args:
         sources: files and folders.
@@ -494,15 +500,15 @@ def _one_clock(
         if said.channels["ft_wrench"].turned_by_contact:
             trial, text = _turned(trial, said)
             steps.append(text)
+    parted, more = _parted(setup, trial, name)
+    steps += more
+    return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags, biases)
+
+
+def _parted(setup: Setup, trial: Trial, name: str) -> tuple[list[Trial], list[str]]:
+    """The pushes of a recording, and remarks on where it was cut."""
     pushes, cuts = cut_at_carries(setup, [trial], name)
-    if cuts:
-        carried = any("while the finger is away" in text for text in cuts)
-        why = (
-            "the object is carried while the finger is away"
-            if carried
-            else "nothing was recorded for a while"
-        )
-        steps.append(f"cut where {why}")
+    steps = [f"cut where {why}" for sign, why in _CUT_WHERE.items() if any(sign in text for text in cuts)]
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push, LONGEST_PUSH)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
@@ -511,7 +517,7 @@ def _one_clock(
         refuse_long(piece.object_pose, f"{piece.name}")
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
-    return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags, biases)
+    return parted, steps
 
 
 def _is_aligned(channel: str, sources: Mapping[str, Source], said: ImportSetup) -> bool:

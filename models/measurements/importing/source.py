@@ -140,13 +140,13 @@ class Source:
 
 def rows_named(table: Source, name: str) -> list[Source]:
     """The rows of a table of several bodies, one below the other, in which a column holds a body's name."""
-    found = []
+    found: dict[bytes, Source] = {}  # by their rows, which two columns may name alike
     for cells in table.columns.values():
         if not isinstance(cells, np.ndarray):
             rows = np.flatnonzero([cell.strip() == name for cell in cells])
             if 0 < len(rows) < len(cells):
-                found.append(replace(table.chosen(rows), part=name))
-    return found
+                found.setdefault(rows.tobytes(), replace(table.chosen(rows), part=name))
+    return list(found.values())
 
 
 def names_in(table: Source) -> list[str]:

@@ -27,7 +27,7 @@ _GERMAN_DATE = re.compile(r"\A(\d{2})\.(\d{2})\.(\d{4})(?!\d)")
 _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
 """Stamps since 1970 above the first number count this many per second; unambiguous from 1973 to 5138."""
 
-_LONGEST_STEP = 60.0  # s between rows
+_LONGEST_STEP = 600.0  # s between rows, as of poses that are seen before and after pushes only
 
 _SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
 """First line of some exports, which states the separator of the cells."""
@@ -153,8 +153,8 @@ def _lines_above_header(lines: Sequence[str]) -> int:
     if len(sample) <= _ROWS_SNIFFED or min(counts) < max(counts) or counts[0] < 3:
         return 0
     first = next(number for number in sample if _cells(lines[number], sign) >= counts[0] - 1)
-    header = lines[first].split(sign)
-    if all(_numeric(cell, ".") or _numeric(cell, ",") for cell in header):
+    header = [cell for cell in lines[first].split(sign) if cell.strip()]
+    if not header or any(_numeric(cell, ".") or _numeric(cell, ",") for cell in header):  # no names
         return 0
     above = [_cells(line, sign) for line in lines[:first]]
     return first if max(above, default=0) <= counts[0] / 2 else 0

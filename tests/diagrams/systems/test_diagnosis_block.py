@@ -380,6 +380,16 @@ def test_another_process_asks_an_open_question_anew(monkeypatch):
     assert robot.push(5, alarm=True) == first and robot.asked == [5]
 
 
+def test_another_process_asks_an_open_question_once_while_an_effect_is_on_trial(monkeypatch):
+    answers = [("effect", ("tether",)), ("undecided", ())]
+    before = Robot(monkeypatch, *answers)
+    before.push(5, alarm=True)
+    first = before.push(6, alarm=True)
+    assert actions(first) == ["adopts", "pushes on"]
+    robot = Robot(monkeypatch, answers[1], before=Repair.of_run(first.to_run()))
+    assert robot.push(6, alarm=True) == first and robot.asked == [6]
+
+
 def test_an_open_answer_that_may_be_chance_is_worth_no_further_push(monkeypatch):
     robot = Robot(monkeypatch, ("undecided", (), 0.4), ("undecided", (), 0.6))
     assert (robot.push(5).wanted, actions(robot.push(5))) == (6, ["pushes on"])

@@ -201,6 +201,12 @@ def test_a_quantity_is_printed_as_precisely_as_its_interval():
     assert str(middle) == "centre of friction, x: 0.00000 m (-0.00039 to 0.00043)"
 
 
+def test_a_quantity_without_an_interval_is_printed_with_four_figures():
+    """As one that was given exactly."""
+    given = Quantity("moment of inertia", "kg m²", 3.21e-4, 3.21e-4, 3.21e-4, True, "")
+    assert str(given) == "moment of inertia: 0.000321 kg m² (0.000321 to 0.000321)"
+
+
 @pytest.mark.parametrize("columns", range(4, 16))
 def test_thirds_of_a_uniform_rectangle_are_thirds(columns):
     """However many columns of cells it has: ten have three and a third of a column in each."""

@@ -129,6 +129,40 @@ def test_a_long_stay_at_another_place_is_left_out(example):
     assert len(dataset.trials[1].object_pose.time) == 80
 
 
+@pytest.mark.parametrize("fall", [1.0, -1.0, 0.0])
+def test_a_finger_at_which_x_equals_y_is_sound(fall):
+    """In every row of a way along the diagonal, or in one where the way crosses it, in steps of 20 mm."""
+    way = np.round(0.03 + 0.02 * np.arange(30), 3)
+    across = way if fall > 0.0 else np.round(0.27 + fall * (way - 0.27), 3)
+    tips = np.column_stack([way, np.where(np.arange(30) < 20, across, across[20])])
+    kept, found, complaint = sound_rows(0.1 * np.arange(30), tips)
+    assert kept.all() and (found, complaint) == ({}, "")
+
+
+def test_a_finger_known_to_10_mm_that_rests_where_x_equals_y_is_sound():
+    tips = np.where(np.arange(200)[:, None] < 85, [0.39, 0.38], [0.39, 0.39])
+    assert sound_rows(0.01 * np.arange(200), tips)[0].all()
+    there_and_back = np.where(np.abs(np.arange(200) - 100)[:, None] < 15, [0.401, 0.101], [0.39, 0.09])
+    assert sound_rows(0.01 * np.arange(200), there_and_back)[0].all()
+
+
+def test_an_object_that_is_struck_to_and_fro_and_rests_in_between_is_sound():
+    """At 10 Hz, as a simulator records it: each blow lasts less than a row, and resting poses are equal."""
+    time = 0.1 * np.arange(200)
+    poses = np.tile([0.2, 0.1, 0.0], (200, 1))
+    poses[60:140] += [0.03, 0.0, 0.1]
+    assert sound_rows(time, poses)[0].all()
+
+
+def test_an_angle_that_changes_for_long_is_told_and_left():
+    """A body at rest, in one place throughout: no stay at another one."""
+    time = 0.1 * np.arange(200)
+    poses = np.tile([0.2, 0.1, 0.0], (200, 1))
+    poses[60:140, 2] += math.pi
+    kept, _, complaint = sound_rows(time, poses)
+    assert kept.all() and complaint.startswith("theta turns by about 180°")
+
+
 def moving(time, still=(), wait=0.0):
     """(T, 3) poses of an object that moves at 0.1 m/s from `wait` s on, while a tracker that does not see it
     repeats its last pose."""
@@ -144,6 +178,14 @@ def test_repeats_of_the_last_pose_are_left_out():
     assert np.flatnonzero(~kept).tolist() == list(range(80, 110))
     assert list(found) == ["repeats the pose before, while the object moves on as the next pose shows"]
     assert complaint == ""
+
+
+@pytest.mark.parametrize("rows", [4, 5, 8])
+def test_poses_that_come_less_often_than_rows_are_no_repeats(rows):
+    """Of a tracker at 60 Hz, say, in a log at 240 Hz, of an object that moves by over 10 mm per pose."""
+    time = np.arange(240) / 240.0
+    poses = moving(8.0 * time)[np.arange(240) // rows * rows]
+    assert sound_rows(time, poses + np.array([0.3, -0.2, 0.1]))[0].all()
 
 
 def test_rest_is_no_repeat():
@@ -183,3 +225,21 @@ def test_a_spike_of_force_is_left_out_and_named(tmp_path):
         assert without_force_spikes(stronger) == (stronger, [])
     # Of two pushes none is usual.
     assert without_force_spikes(trials[3:5]) == (trials[3:5], [])
+
+
+def test_a_blow_and_a_single_row_of_force_are_no_spikes():
+    """A blow may last less than a row; of a force in one row, none shows that it is wrong."""
+    trials = list(tilted_block().trials)
+    pose, wrench = trials[3].object_pose, trials[3].ft_wrench
+    struck = float(wrench.time[7])
+    moves = np.where(pose.time[:, None] < struck, 0.0, (pose.time[:, None] - struck) * [0.3, 0.1, 0.0])
+    strong = wrench.values.copy()
+    strong[7, :2] = [3000.0, -4000.0]
+    trials[3] = replace(
+        trials[3],
+        object_pose=replace(pose, values=pose.values[0] + moves),
+        ft_wrench=replace(wrench, values=strong),
+    )
+    single = replace(wrench, time=wrench.time[:1], values=np.array([[500.0, 0.0, 0.0]]))
+    trials[5] = replace(trials[5], ft_wrench=single)
+    assert without_force_spikes(trials) == (trials, [])

@@ -378,7 +378,12 @@ def test_a_centre_of_mass_shows_where_objects_coast_or_are_thrown(fastest, coast
 
 @pytest.mark.parametrize(
     ("pushes", "fastest", "told"),
-    [(8, 0.0004, "fastest 0.4 mm/s"), (8, 0.0, "no poses while it moves"), (0, 0.0, "fastest 0 mm/s")],
+    [
+        (8, 0.0004, "fastest 0.4 mm/s"),
+        (8, 1.2345, "fastest 1230 mm/s"),
+        (8, 0.0, "no poses while it moves"),
+        (0, 0.0, "fastest 0 mm/s"),
+    ],
 )
 def test_a_speed_is_told_where_it_was_measured(pushes, fastest, told):
     seen = check_dataset(straight_pushes(8)).coverage

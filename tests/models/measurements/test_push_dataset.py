@@ -189,10 +189,15 @@ def test_forces_and_masses_in_other_units_are_told(mass, factor, words):
         assert re.match(word, told)
 
 
-@pytest.mark.parametrize("mass", ["500 g", -1.0, float("nan")])
+@pytest.mark.parametrize("mass", ["500 g", -1.0, float("nan"), [1.0, 2.0]])
 def test_a_mass_that_is_none_is_refused_by_name(mass):
-    with pytest.raises(DatasetError, match=f"mass must be positive and finite, got {mass!r}"):
+    with pytest.raises(DatasetError, match=re.escape(f"mass must be positive and finite, got {mass!r}")):
         of_arrays(mass=mass)
+
+
+@pytest.mark.parametrize("mass", [1, np.float32(1.0), np.array(1.0)])
+def test_a_mass_may_be_any_kind_of_number(mass):
+    assert of_arrays(mass=mass).mass == 1.0
 
 
 def test_an_array_is_no_channel():

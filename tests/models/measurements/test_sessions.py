@@ -120,6 +120,29 @@ def test_a_recording_is_cut_where_it_pauses():
     for push, whole in zip(pushes, setup.trials, strict=True):
         assert np.array_equal(push.object_pose.values, whole.object_pose.values[:72])
     assert "no rows of object and finger for 3.01 s from t = 0.7 s on and 2 more times" in told[0]
+    (told,) = cut_at_carries(setup, [pressed(1500.0)], "all.csv")[1]
+    assert "no rows of object and finger for 1500 s" in told
+
+
+def test_carrying_and_pauses_are_counted_apart(recorded):
+    """A session, and after a pause four pushes that end with the finger at the object."""
+    (trial, *_), time, pose, tip = recorded
+    carried = replace(trial, object_pose=Channel(time, pose), tip_pose=Channel(time, tip), ft_wrench=None)
+    paused = pressed(3.0)
+    both = {
+        name: Channel(
+            np.concatenate([carried.channels[name].time, paused.channels[name].time + time[-1] + 5.0]),
+            np.concatenate([carried.channels[name].values, paused.channels[name].values]),
+        )
+        for name in ("object_pose", "tip_pose")
+    }
+    setup = straight_pushes(4)
+    _, (told,) = cut_at_carries(setup, [replace(carried, **both)], "all.csv")
+    # The finger is away in the pause after the session: someone carried the object.
+    assert (
+        "while the finger is away at t = 1." in told and " s and 3 more times, and there are no rows" in told
+    )
+    assert "on and 2 more times; the recording was cut there into 8 pushes" in told
 
 
 def test_a_pause_in_which_nothing_moves_is_no_cut():

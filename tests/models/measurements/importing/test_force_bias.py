@@ -45,6 +45,14 @@ def test_biases_that_differ_are_not_carried_over_but_told(tmp_path):
     assert pushing(dataset)[2] == pytest.approx([3.0, 6.0], abs=0.01)
     (warning,) = [text for text in told if "the force's bias" in text]
     assert warning.startswith("p2.csv: the force's bias is unknown") and "ft_wrench.offset" in warning
+    assert "in p0.csv, p1.csv it is up to 9.5 N and differs" in warning
+
+
+@pytest.mark.parametrize("late", [(1, 2), (1,)])
+def test_a_bias_that_a_single_push_shows_is_told_as_such(tmp_path, late):
+    _, told = imported(tmp_path, [(400.0, -300.0), (0.0, 0.0), (0.0, 0.0)], late)
+    (warning,) = [text for text in told if "the force's bias" in text]
+    assert "in p0.csv it is 500 N, and no other push shows one" in warning
 
 
 def test_a_far_clock_that_one_recording_does_not_show_is_that_of_the_session(tmp_path):

@@ -516,6 +516,17 @@ def test_bodies_below_one_another_are_told_apart_by_their_names(tmp_path):
             import_dataset(file, tmp_path / "s.yaml")
 
 
+def test_a_body_that_two_columns_name_is_found(tmp_path):
+    file = below_one_another(tmp_path / "p.csv")
+    lines = [line.split(",", 2) for line in file.read_text().splitlines()]
+    file.write_text("\n".join(f"{t},{name},{'id' if t == 't' else name},{rest}" for t, name, rest in lines))
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {position: [x, y], angle: theta, part: block}\ntip_pose: null\n"
+    )
+    (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.object_pose.values == pytest.approx(POSE, abs=1e-6)
+
+
 def test_noise_in_a_wrong_unit_makes_no_bodies(tmp_path):
     """Of poses in 0.1 mm that are read as m, beside a column of words."""
     rng = np.random.default_rng(0)

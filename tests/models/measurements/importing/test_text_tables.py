@@ -70,6 +70,10 @@ def test_a_header_with_too_few_names_is_shown(tmp_path):
     rows = "0,1,2,3,4,5\n" * 20
     with pytest.raises(DatasetError, match=r"row 0: has 6 cells, but the header 't,pose' has 2"):
         source(tmp_path, "t,pose\n" + rows)
+    # Numbers are no header below a title, also where words stand beside them.
+    for first in ("t,pose", "0"):
+        with pytest.raises(DatasetError, match="has 4 cells, but the header"):
+            source(tmp_path, f"{first}\n" + "0,1,2,ok\n" * 20)
 
 
 @pytest.mark.parametrize(
@@ -178,6 +182,9 @@ def test_nanoseconds_since_a_start_are_no_milliseconds_since_1970(tmp_path):
     count = 5.3e12 + 1e9 * TIME
     time, told = seconds(Source("a", "", {"t": count}), ["t"], None)
     assert told == "" and time == pytest.approx(count)
+    photos = 1.7e12 + 2e5 * np.arange(8.0)  # in ms, before and after pushes
+    time, told = seconds(Source("a", "", {"t": photos}), ["t"], None)
+    assert told == "t counts ms since 1970" and np.diff(time) == pytest.approx(200.0)
     names = ["t", "x", "y", "theta", "a", "b"]
     for factor, unit in ((1.0, "nano"), (1e-3, "micro"), (1e-6, "milli")):
         file = written(tmp_path / "p.csv", names, [1e9 * factor * TIME, POSE, TIP])
