@@ -114,6 +114,13 @@ def test_sizes_in_the_units_of_a_person():
         estimate("down_y", slope, slope - 0.01, slope + 0.01),
     )
     assert tilt.startswith("tilt 3.0° (2.4 to 3.6), downhill towards 90.0°")
+    # A length does not exclude zero where both of its parameters may be zero.
+    faint = words("table_tilt", estimate("down_x", 0.04, -0.002, 0.08), estimate("down_y", 0.0, -0.03, 0.03))
+    assert faint.startswith("tilt 2.3° (0.0 to ")
+    faint = words(
+        "table_tilt", estimate("down_x", 0.04, -0.002, 0.06), estimate("down_y", 0.02, -0.001, 0.03)
+    )
+    assert faint.startswith("tilt 2.6° (0.0 to ")
     assert words("sensor_latency", estimate("latency", 0.06, 0.058, 0.062)) == (
         "the tracker is 60.0 ms late (58.0 to 62.0)"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -101,3 +102,14 @@ def test_pushes_speak_for_an_effect_only_where_they_agree_and_its_size_is_clear(
     _show_gain(result, effects)
     said = " ".join(capsys.readouterr().out.split())
     assert sentence in said and ("90 % interval of" in said) == (low < 0.0 and verdict == "undecided")
+
+
+def test_one_push_that_judges_is_told_as_one(capsys) -> None:  # type: ignore[no-untyped-def]
+    effects = effects_named(["table_tilt"], LIBRARY)
+    facts = (Quantity("table_tilt: down_x", "rad", 0.02, -0.01, 0.03, False, ""),)
+    push = SimpleNamespace(role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=2.0))
+    other = Identification(SimpleNamespace(effects=effects), (push,), facts, 0.0)  # type: ignore[arg-type]
+    _show_gain(replace(other, without_effects=other), effects)
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("The held-out push ends 1.0 mm from its prediction; without table_tilt, 1.0 mm.")
+    assert "Its misfit is 1 times" in said and "This one push alone does not show whether" in said
