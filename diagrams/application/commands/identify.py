@@ -350,13 +350,22 @@ def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
         these, whose, do = "This one push", "Its", "does"
     change = f"{whose} misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
-        change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
+        low, high = _beside_one(paired.low), _beside_one(paired.high)
+        if paired.verdict == "undecided":
+            low, high = f"{paired.low:.2g}", f"{paired.high:.2g}"
+        change += f" (90 % interval {low} to {high})"
     said = _SAID[result.verdict].format(effects=effects, pushes=these, do=do)
     if result.verdict != paired.verdict:
         said = _NOT_CLEAR.format(names=" and of ".join(result.without_clear_size)) + said
     paragraph(
         f"{ends.format(millimetres(now))}; without {effects}, {millimetres(before)} mm. {change}. {said}"
     )
+
+
+def _beside_one(ratio: float) -> str:
+    """A ratio with two figures, or as many more as show on which side of 1 it lies, up to five."""
+    texts = [f"{ratio:.{figures}g}" for figures in range(2, 6)]
+    return next((text for text in texts if float(text) != 1.0), texts[-1])
 
 
 def show_effects(result: Identification) -> None:
