@@ -20,6 +20,7 @@ from slipmap.models.inference.diagnosis.locked import with_locked
 from slipmap.models.inference.diagnosis.results import JointIdentification
 from slipmap.models.inference.diagnosis.several import check_together, fit_together
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.hypotheses import unexplained_share
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import (
@@ -83,6 +84,9 @@ class Comparison:
     structure: tuple[Pattern, ...]  # what residuals depend on, the most certain first
     correlations: Correlations | None  # over time, or None where too few pushes were measured along the way
     seed: int  # of every random draw
+    # share of the distance moved by which the best maps miss the pushes that taught the belief, where that is
+    # the largest share that is tried, so that it may be larger; else None
+    unexplained: float | None = None
 
     def __repr__(self) -> str:
         errors = ", ".join(
@@ -202,6 +206,7 @@ def compare(
         structure=corrected(patterns),
         correlations=together,
         seed=seed,
+        unexplained=unexplained_share(belief.settings),
     )
 
 

@@ -129,7 +129,11 @@ def _scaled(text: str, estimate: ParameterEstimate, factor: float) -> Reading:
 def _polar(
     x: ParameterEstimate, y: ParameterEstimate
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Length and direction (rad) of two parameters, treated as independent, with their intervals."""
+    """Length and direction (rad) of two parameters, treated as independent, with their intervals.
+
+    Where both intervals contain zero, so does that of the length: what is said of an effect must not exclude
+    what its parameters leave open.
+    """
     length = float(np.hypot(x.value, y.value))
     spread_x, spread_y = 0.5 * (x.high - x.low), 0.5 * (y.high - y.low)
     angle = float(np.arctan2(y.value, x.value))
@@ -137,7 +141,8 @@ def _polar(
     along = float(np.hypot(c * spread_x, s * spread_y))
     across = float(np.hypot(s * spread_x, c * spread_y))
     turn = min(across / length, np.pi) if length > 0 else np.pi
-    return (length, max(length - along, 0.0), length + along), (angle, angle - turn, angle + turn)
+    shortest = 0.0 if all(p.low <= 0.0 <= p.high for p in (x, y)) else max(length - along, 0.0)
+    return (length, shortest, length + along), (angle, angle - turn, angle + turn)
 
 
 def _direction(text: str, angle: tuple[float, float, float], factor: float = 1.0) -> list[Reading]:

@@ -34,7 +34,7 @@ the same, lest errors of a tenth of a millimetre in a model that is nearly right
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -166,6 +166,17 @@ def trusted(ladder: Ladder) -> dict[str, Any]:
         "prior": asdict(closest.prior.settings),
         "likelihood": asdict(closest.settings),
     }
+
+
+def unexplained_share(settings: Mapping[str, Any]) -> float | None:
+    """Share of the distance moved by which the best maps miss the pushes, if it is the largest of
+    `MODEL_ERRORS` and may be larger; else None.
+
+    Args:
+        settings: of a belief, with those that `trusted` records where it was learned by these fits.
+    """
+    missed = max(settings.get("model_errors", [0.0]))
+    return missed if missed >= MODEL_ERRORS[-1] else None
 
 
 class Draws(NamedTuple):

@@ -62,7 +62,9 @@ def predict(
             with progress.step("drawing"):
                 drawn = write_figures(output, push_figures(pushes, measured))
             write_json(json_file, _prediction_document(belief, measured.name, pushes))
+    from slipmap.diagrams.application.reports.comparison_words import advice, unexplained
     from slipmap.diagrams.application.reports.tables import show_errors
+    from slipmap.models.inference.hypotheses import unexplained_share
 
     click.echo(
         printable(
@@ -70,6 +72,9 @@ def predict(
         )
     )
     show_errors(pushes, measured, options.datasets_typed(), belief.effects)
+    far_off = unexplained(unexplained_share(belief.settings)) if belief.dataset == measured.name else ""
+    if far_off:
+        paragraph(f"{far_off} {advice(options.datasets_typed())}")
     for path in drawn:
         note(f"picture: {path}")
 
@@ -203,7 +208,7 @@ def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Predicti
 
 def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     """Print the comparison of one model, or of two over the same pushes; `where` is the dataset's path."""
-    from slipmap.diagrams.application.reports.comparison_words import chance_surprises, findings, warning
+    from slipmap.diagrams.application.reports.comparison_words import doubts, findings, warning
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
@@ -215,8 +220,8 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     show_comparison(results)
     for text in findings(results):
         paragraph(text)
-    if outside := warning(results[-1], where) or chance_surprises(results[-1]):
-        paragraph(outside)
+    for text in (warning(results[-1], where), *doubts(results[-1])):
+        paragraph(text)
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:

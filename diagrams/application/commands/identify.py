@@ -268,14 +268,14 @@ def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
 
 def show(result: Identification, dataset: PushDataset, where: str | None) -> None:
     """Print an identification; `where` as in `show_errors`."""
-    from slipmap.diagrams.application.reports.comparison_words import advice
+    from slipmap.diagrams.application.reports.comparison_words import advice, unexplained
     from slipmap.diagrams.application.reports.tables import (
         is_doubted,
         show_errors,
         show_friction_laws,
         show_quantities,
     )
-    from slipmap.models.inference.hypotheses import MODEL_ERRORS
+    from slipmap.models.inference.hypotheses import unexplained_share
     from slipmap.models.inference.identifiability import coarse_cells
 
     belief, fit = result.belief, len(dataset.fit_trials)
@@ -288,19 +288,15 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where, belief.effects)
-    missed = max(belief.settings.get("model_errors", [0.0]))
-    far_off = missed >= MODEL_ERRORS[-1]  # the largest that is tried, so that it may be larger
+    far_off = unexplained(unexplained_share(belief.settings))
     if far_off:
-        paragraph(
-            f"THE MODEL DOES NOT EXPLAIN THESE PUSHES: with the best maps, it is off by"
-            f" {100 * missed:.0f} % or more of the distance moved. {advice(where or 'DATASET')}"
-        )
+        paragraph(f"{far_off} {advice(where or 'DATASET')}")
     if coarse := coarse_cells(belief):
         paragraph(f"THE CELLS ARE TOO COARSE FOR THIS OBJECT: {coarse}.")
     show_friction_laws(result.friction_laws)
     if result.share_of_known is not None:
         paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)
-    show_quantities(result.quantities, doubted=far_off or is_doubted(result.pushes, dataset))
+    show_quantities(result.quantities, doubted=bool(far_off) or is_doubted(result.pushes, dataset))
 
 
 _THEY_FIT = "The pushes agree with the known maps: free maps do not explain them much better."
@@ -330,7 +326,7 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
 _SAID = {
     "for": "The pushes support {effects}.",
     "against": "THE PUSHES SPEAK AGAINST {effects}.",
-    "undecided": "These {count} pushes alone do not show whether {effects} is present, and its size holds"
+    "undecided": "{pushes} alone {do} not show whether {effects} is present, and its size holds"
     " only if it is; `slipmap diagnose` weighs all pushes.",
 }
 """What the pushes say about effects, by `Identification.verdict`."""
@@ -342,21 +338,34 @@ def _show_gain(result: Identification, added: Sequence[Effect]) -> None:
     from slipmap.diagrams.application.reports.comparison_words import millimetres
 
     role = result.judges
-    pushes = "Held-out pushes" if role == "heldout" else "Fit pushes"
+    which, count = {"heldout": "held-out", "fit": "fit"}[role], len(result.errors(role))
     paired = result.with_and_without
     assert result.without_effects is not None and paired is not None
     now, before = (float(learned.errors(role).mean()) for learned in (result, result.without_effects))
     effects = " and ".join(effect.name for effect in added)
-    change = f"Push by push, their misfit is {paired.ratio:.2g} times that without {effects}"
+    ends = f"{which.capitalize()} pushes end {{}} mm from their predictions on average"
+    these, whose, do = f"These {count} pushes", "Push by push, their", "do"
+    if count == 1:
+        ends = f"The {which} push ends {{}} mm from its prediction"
+        these, whose, do = "This one push", "Its", "does"
+    change = f"{whose} misfit is {paired.ratio:.2g} times that without {effects}"
     if math.isfinite(paired.high):
-        change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
-    said = _SAID[result.verdict].format(effects=effects, count=len(result.errors(role)))
+        low, high = _beside_one(paired.low), _beside_one(paired.high)
+        if paired.verdict == "undecided":
+            low, high = f"{paired.low:.2g}", f"{paired.high:.2g}"
+        change += f" (90 % interval {low} to {high})"
+    said = _SAID[result.verdict].format(effects=effects, pushes=these, do=do)
     if result.verdict != paired.verdict:
         said = _NOT_CLEAR.format(names=" and of ".join(result.without_clear_size)) + said
     paragraph(
-        f"{pushes} end {millimetres(now)} mm from their predictions on average; without {effects},"
-        f" {millimetres(before)} mm. {change}. {said}"
+        f"{ends.format(millimetres(now))}; without {effects}, {millimetres(before)} mm. {change}. {said}"
     )
+
+
+def _beside_one(ratio: float) -> str:
+    """A ratio with two figures, or as many more as show on which side of 1 it lies, up to five."""
+    texts = [f"{ratio:.{figures}g}" for figures in range(2, 6)]
+    return next((text for text in texts if float(text) != 1.0), texts[-1])
 
 
 def show_effects(result: Identification) -> None:

@@ -83,7 +83,7 @@ def comparison_report(
     headline, *below = [text for text in (warned, told) if text] or [average]
     if told and not warned:
         below = [average]
-    found = (others, *below, *sentences, *words.findings(comparisons), words.chance_surprises(last))
+    found = (others, *below, *sentences, *words.findings(comparisons), *words.doubts(last))
     return page(title, subtitle, [text for text in found if text], sections, headline)
 
 
@@ -185,7 +185,7 @@ def _cells(errors: Errors) -> list[str]:
 
     return [
         words.millimetres(errors.final_add),
-        words.millimetres(errors.mean_add),
+        words.average(errors),
         words.millimetres(errors.position),
         shown(float(np.degrees(errors.angle)), 2),
         shown(errors.fit, 1),
@@ -293,7 +293,7 @@ def _row(comparisons: Sequence[Comparison], b: int) -> str:
         errors = comparison.pushes[b].errors
         values = {
             "end, mm": 1e3 * errors.final_add,
-            "average, mm": 1e3 * errors.mean_add,
+            "average, mm": np.nan if comparison.pushes[b].ends_only else 1e3 * errors.mean_add,
             "angle, °": float(np.degrees(errors.angle)),
             "fit, %": errors.fit,
             "force, %": 100 * errors.force_share,

@@ -139,17 +139,16 @@ def improvement(diagnosis: Diagnosis) -> str:
     path, path_after, end, end_after = (
         f"{millimetres(float(e.mean()))} mm" for e in (before.path, after.path, before.final, after.final)
     )
+    meaning = "(ADD: mean distance between the object's predicted and measured points)."
     if not diagnosis.effect_objects:
-        return (
-            f"{which}, the model is {path} off on average along the path and {end} at the end (ADD: mean"
-            " distance between the object's predicted and measured points)."
-        )
-    return (
-        f"{which}, the model is {path} off on average along the path {before_label(diagnosis)} and"
-        f" {path_after} {after_label(diagnosis)}; at the end, {end} and {end_after} (ADD: mean distance"
-        " between the object's predicted and measured points)."
-        f"{_still_missed(after_label(diagnosis), after.misfit)}"
-    )
+        along = "" if before.ends_only else f"{path} off on average along the path and "
+        return f"{which}, the model is {along}{end} {'at' if along else 'off at'} the end {meaning}"
+    with_it = after_label(diagnosis)
+    parts = [f"{path} off on average along the path {before_label(diagnosis)} and {path_after} {with_it}"]
+    parts += [f"at the end, {end} and {end_after}"]
+    if before.ends_only:
+        parts = [f"{end} off at the end {before_label(diagnosis)} and {end_after} {with_it}"]
+    return f"{which}, the model is {'; '.join(parts)} {meaning}{_still_missed(with_it, after.misfit)}"
 
 
 def _still_missed(model: str, misfits: FloatArray) -> str:
@@ -164,7 +163,8 @@ def _still_missed(model: str, misfits: FloatArray) -> str:
         return ""
     return (
         f" Even {model}, the typical locked push is {misfit:.0f} times the sensor noise off:"
-        " something else is missing too, the outline or the recording is wrong, or pushes scatter."
+        " something else is missing too, the outline, the recording or the noise stated for it is wrong, or"
+        " pushes scatter."
     )
 
 
@@ -179,6 +179,8 @@ def locked_table(diagnosis: Diagnosis) -> tuple[list[str], list[list[str]]]:
         ["at the end (ADD), mm", *(millimetres(float(e.final.mean())) for e in errors)],
         ["misfit, times sensor noise (1 is best)", *(f"{e.total_misfit:.2f}" for e in errors)],
     ]
+    if errors and errors[0].ends_only:
+        rows = rows[1:]
     return names, rows if errors else []
 
 

@@ -52,6 +52,11 @@ class LockedErrors:
         return cls(*(np.array([getattr(error, name) for error in errors]) for name in names))
 
     @property
+    def ends_only(self) -> bool:
+        """Whether nothing was measured on the way, so that `path` repeats `final`."""
+        return bool(np.array_equal(self.path, self.final))
+
+    @property
     def total_misfit(self) -> float:
         """Root mean square of the misfits over all pushes."""
         return float(np.sqrt((self.misfit**2).mean()))

@@ -137,7 +137,7 @@ def without_those_objected_to(
         )
     return Outcome(
         "undecided",
-        f"{sentence}. There are too few pushes, or they scatter too much, to decide.",
+        f"{sentence}. There are too few pushes, or they are too alike or scatter too much, to decide.",
         base,
         objections=told,
     )
@@ -145,11 +145,13 @@ def without_those_objected_to(
 
 def _objected(objections: Mapping[str, Objection]) -> str:
     """Objections to answers that were just named, as clauses that say which answer each is about."""
-    different = set(objections.values())
-    if len(different) > 1:
-        return " or ".join(dict.fromkeys(one.clause(name) for name, one in objections.items()))
+    alike: dict[Objection, list[str]] = {}
+    for name, one in objections.items():
+        alike.setdefault(one, []).append(name)
+    if len(alike) > 1:
+        return ", and ".join(one.clause(" or ".join(names)) for one, names in alike.items())
     every = {1: None, 2: "either"}.get(len(objections), "any of them")
-    return different.pop().clause(every)
+    return next(iter(alike)).clause(every)
 
 
 def far_off(base: Fitted, misfit: float, most: tuple[str, float] | None = None) -> Outcome:

@@ -181,7 +181,7 @@ class Diagnosis(Outcome):
                 f"run `slipmap compare {where}` to see where and how the model fails; write your own effect"
                 f" in a file and try it with `slipmap diagnose {_plain(where)} --effect-file FILE`."
             )
-        return f"{push}, then run {again} again; `slipmap compare {where}` shows where the model fails."
+        return f"{push}, then run {again} again; `slipmap compare {where}` shows how far off the model is."
 
     def to_json(self, where: str = "DATASET") -> dict[str, object]:
         """The machine-readable result; lengths in m, null for what is absent; `where` as in `next_step`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from slipmap.diagrams.application.reports.diagnosis_report import compared, diag
 from slipmap.diagrams.application.reports.diagnosis_words import (
     evidence,
     improvement,
+    locked_table,
     push_facts,
     show_diagnosis,
     standing,
@@ -24,6 +26,7 @@ from slipmap.diagrams.application.reports.diagnosis_words import (
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
 from slipmap.models.inference.effect_words import READERS, effect_in_words, parameter_rows
@@ -81,6 +84,18 @@ def test_an_adequate_model_beside_a_gain_beyond_chance_is_explained(tilted, refi
     assert said in evidence(left)
 
 
+@pytest.mark.parametrize("effects", [(), EFFECTS[:1]])
+@pytest.mark.parametrize("way", [2e-3, 1e-3])
+def test_no_error_along_the_path_is_told_where_only_ends_were_measured(effects, way):
+    """Two rows a push: its only pose is its end, whose error had been given twice."""
+    measured = way != 1e-3
+    before, after = (LockedErrors(np.full(3, w), np.full(3, 1e-3), np.ones(3)) for w in (way, way))
+    found = SimpleNamespace(before=before, after=after, locked=("a", "b", "c"), effect_objects=effects)
+    said, (_, rows) = improvement(found), locked_table(found)
+    assert ("along the path" in said) == measured and "1.0 mm" in said and "at the end" in said
+    assert [row[0].split(" (")[0] for row in rows][:1] == ["along the path" if measured else "at the end"]
+
+
 def test_every_effect_of_the_library_has_words_for_its_size():
     assert set(READERS) == {effect.name for effect in LIBRARY}
     for effect in LIBRARY:
@@ -114,6 +129,13 @@ def test_sizes_in_the_units_of_a_person():
         estimate("down_y", slope, slope - 0.01, slope + 0.01),
     )
     assert tilt.startswith("tilt 3.0° (2.4 to 3.6), downhill towards 90.0°")
+    # A length does not exclude zero where both of its parameters may be zero.
+    faint = words("table_tilt", estimate("down_x", 0.04, -0.002, 0.08), estimate("down_y", 0.0, -0.03, 0.03))
+    assert faint.startswith("tilt 2.3° (0.0 to ")
+    faint = words(
+        "table_tilt", estimate("down_x", 0.04, -0.002, 0.06), estimate("down_y", 0.02, -0.001, 0.03)
+    )
+    assert faint.startswith("tilt 2.6° (0.0 to ")
     assert words("sensor_latency", estimate("latency", 0.06, 0.058, 0.062)) == (
         "the tracker is 60.0 ms late (58.0 to 62.0)"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hidden_effects import LATENCY, late_pushes
 from report_page import assert_alone
 
-from slipmap.diagrams.application.commands.identify import _show_gain
+from slipmap.diagrams.application.commands.identify import _beside_one, _show_gain
 from slipmap.diagrams.application.reports.comparison_words import millimetres
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import effects_named
@@ -101,3 +102,22 @@ def test_pushes_speak_for_an_effect_only_where_they_agree_and_its_size_is_clear(
     _show_gain(result, effects)
     said = " ".join(capsys.readouterr().out.split())
     assert sentence in said and ("90 % interval of" in said) == (low < 0.0 and verdict == "undecided")
+
+
+def test_one_push_that_judges_is_told_as_one(capsys) -> None:  # type: ignore[no-untyped-def]
+    effects = effects_named(["table_tilt"], LIBRARY)
+    facts = (Quantity("table_tilt: down_x", "rad", 0.02, -0.01, 0.03, False, ""),)
+    push = SimpleNamespace(role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=2.0))
+    other = Identification(SimpleNamespace(effects=effects), (push,), facts, 0.0)  # type: ignore[arg-type]
+    _show_gain(replace(other, without_effects=other), effects)
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("The held-out push ends 1.0 mm from its prediction; without table_tilt, 1.0 mm.")
+    assert "Its misfit is 1 times" in said and "This one push alone does not show whether" in said
+
+
+@pytest.mark.parametrize(
+    ("ratio", "shown"), [(0.5, "0.5"), (1.004, "1.004"), (0.9962, "0.996"), (1.23, "1.2"), (1.0, "1")]
+)
+def test_an_interval_that_decides_shows_on_which_side_of_one_it_ends(ratio, shown) -> None:  # type: ignore[no-untyped-def]
+    """`1 to 1.1` had spoken against an effect."""
+    assert _beside_one(ratio) == shown

@@ -190,7 +190,10 @@ def test_a_rival_that_something_speaks_against_leaves_the_set():
     none = left(table_tilt=weak, loose_mass=null)
     assert (none.verdict, none.effects, none.rivals) == ("undecided", (), ())
     assert "table_tilt or loose_mass" in none.sentence
-    assert "better with table_tilt or the 90 % interval of loose_mass is consistent" in none.sentence
+    assert "better with table_tilt, and the 90 % interval of loose_mass is consistent" in none.sentence
+    three = {"table_tilt": weak, "tether": weak, "loose_mass": null}
+    said = left(**three).sentence
+    assert "not clearly predicted better with table_tilt or tether, and the 90 % interval of loose" in said
     far = left(table_tilt=off, loose_mass=off)
     assert (far.verdict, far.depends_on is None) == ("unknown", False)
     assert "would explain something, but" in far.sentence and "with either as without" in far.sentence
