@@ -27,13 +27,12 @@ from slipmap.models.measurements.contact import (
 from slipmap.models.measurements.importing.clocks import (
     Lag,
     Rise,
-    bias_matters,
-    free_force,
     lag_by_rises,
     lag_left,
     middle_of,
     rises_after_touch,
 )
+from slipmap.models.measurements.importing.force_bias import bias_matters, free_force
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset
 from slipmap.models.measurements.reading import IMPORTED

@@ -1,4 +1,4 @@
-"""Align the clocks of several files by contact, and find the reading of a force sensor without contact.
+"""Align the clocks of several files by contact, and find stamps that cannot be right.
 
 The object moves only while the finger touches it: on the right clock the finger's rim lies on the outline
 while the object moves, and never inside it. A force rises when the finger reaches the outline.
@@ -35,13 +35,7 @@ _SPANS = (0.1, 0.3, 0.8)  # s over which speeds are taken
 _EDGE = 0.15  # s at both ends of a motion in which the object may still rest
 _NEAR_EPOCH = 2.0  # s by which two clocks that both count from 1970 may differ
 
-_FREE = 5e-3  # m of air beyond which there is no contact force
-_SWINGS = 0.3  # s
-_STARTED = 5e-4  # m from where the finger waited at first,
-_APART = 1e-3  # m from the outline there
-_FEWEST_FREE = 10  # rows
-_SHARE = 0.01  # of the largest force, exceeded by a significant bias,
-_ERRORS = 5.0  # which also exceeds this many standard errors
+_STARTED = 5e-4  # m from where the finger waited at first
 _RISE = 0.2  # s around the touch in which the force must rise
 _SHIFTS = (0.0, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3)  # s from the coarse lag at which rises are sought
 _FORCE_STEP = 0.02  # s, step of the coarse search for the force
@@ -52,6 +46,12 @@ _APPROACH = 5e-3  # m/s, lowest speed of a finger that touches
 _WAITS = 0.4  # s before the touch in which the object rests
 _PASSES = 0.04  # s around it in which the finger's path is straight
 _SOON = 1.0  # s after it in which the object moves
+
+_AROUND = 5  # rows on either side among which a stamp is judged, and longest run of wrong ones
+_FAR, _PERIODS = 0.1, 20.0  # s, and usual steps, that a wrong stamp is from those around it
+_ELSEWHERE = 1e6  # s from the next stamps, at an end: a clock that was not set yet
+_MOST_SHARE = 0.1  # of the rows; if more are odd, the clock is of another kind
+_ROWS_A_STAMP = 3.0  # rows with one stamp, on average, that still differ
 
 
 class Lag(NamedTuple):
@@ -353,10 +353,10 @@ def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
     """The remaining lag between two nearly aligned clocks; None if the object does not move enough."""
     moving = _moving(setup, pose)
     moving &= (pose.time > tip.time[0] + _EDGE) & (pose.time < tip.time[-1] - _EDGE)
-    if int(moving.sum()) < _FEWEST_FREE:
+    if int(moving.sum()) < _FEWEST_ROWS:
         return None
     moving[moving] &= gaps(setup, tip.at(pose.time[moving]), pose.values[moving]) < _AIR
-    if int(moving.sum()) < _FEWEST_FREE:
+    if int(moving.sum()) < _FEWEST_ROWS:
         return None
     lag = _refined(setup, pose, tip, moving, 0.0, _ROWS)
     return None if _touched(setup, pose, tip, moving, lag.value) is None else lag
@@ -417,34 +417,46 @@ def _rise(force: Channel, touch: float) -> float | None:
     return float(time[one] + np.clip(share, 0.0, 1.0) * (time[two] - time[one]))
 
 
-def free_force(
-    setup: Setup, pose: Channel, tip: Channel, force: Channel
-) -> tuple[FloatArray, FloatArray, int] | None:
-    """The sensor's reading without contact: (2,) N, its standard error (2,), and the number of rows; None if
-    there are too few."""
-    gap = gaps(setup, tip.at(force.time), pose.at(force.time))
-    begin, end = max(pose.time[0], tip.time[0]), min(pose.time[-1], tip.time[-1])
-    free = gap > _FREE
-    near = force.time[~free]
-    if len(near):  # after contact the finger swings, and with it its sensor
-        after = np.searchsorted(near, force.time)
-        free &= (after == 0) | (force.time - near[np.maximum(after - 1, 0)] > _SWINGS)
-    away = np.hypot(*(tip.values - tip.values[0]).T) > _STARTED
-    started = tip.time[np.argmax(away)] if away.any() else tip.time[-1]
-    if not -_DEPTH / 3.0 < float(np.percentile(gap, 1)) < _AIR:
-        free[:] = False  # the frames are wrong, so the finger is not where it seems to be
-    free |= (force.time < started) & (np.abs(gap) > _APART)
-    free &= (force.time >= begin) & (force.time <= end)
-    if int(free.sum()) < _FEWEST_FREE:
-        return None
-    values = force.values[free, :2]
-    middle = np.median(values, axis=0)
-    # Slow wander correlates the rows: about a tenth of them are independent.
-    spread = 1.4826 * np.median(np.abs(values - middle), axis=0)
-    return middle, spread / np.sqrt(max(len(values) / 10.0, 1.0)), len(values)
+def wild_rows(time: FloatArray) -> NDArray[np.int_]:
+    """Rows whose stamps lie far outside those before and after them, such as 0 where none was taken.
+
+    Stamps that start anew, and pauses, are not among them: a stamp is compared with the median of the rows
+    around it, which in order is the stamp itself. At the ends only a stamp out of order counts, or one that
+    is over a million seconds away.
+
+    Args:
+        time: (T,) s, NaN where unknown.
+    """
+    known = np.flatnonzero(np.isfinite(time))
+    count = 2 * _AROUND + 1
+    if len(known) <= count:
+        return np.zeros(0, dtype=int)
+    stamps = time[known]
+    windows = np.lib.stride_tricks.sliding_window_view(stamps, count)
+    middle = np.median(windows, axis=1)
+    usual = np.concatenate([np.full(_AROUND, middle[0]), middle, np.full(_AROUND, middle[-1])])
+    off = stamps - usual
+    period = float(np.median(np.abs(np.diff(stamps))))
+    wild = np.abs(off) > max(_FAR, _PERIODS * period)
+    wild[:_AROUND] &= (off[:_AROUND] > 0.0) | (off[:_AROUND] < -_ELSEWHERE)
+    wild[-_AROUND:] &= (off[-_AROUND:] < 0.0) | (off[-_AROUND:] > _ELSEWHERE)
+    return known[wild] if wild.sum() <= _MOST_SHARE * len(stamps) else np.zeros(0, dtype=int)
 
 
-def bias_matters(bias: FloatArray, error: FloatArray, force: Channel) -> bool:
-    """Whether a force without contact is significant and more than a hundredth of the largest force."""
-    largest = float(np.percentile(np.hypot(*(force.values[:, :2] - bias).T), 99))
-    return bool((np.abs(bias) > _ERRORS * error).any() and np.hypot(*bias) > _SHARE * largest)
+def coarse_text(time: FloatArray, values: FloatArray) -> str:
+    """What is odd about stamps that many rows share although their values differ; "" if nothing.
+
+    Args:
+        time: (T,) s, in order.
+        values: (T, n) of the rows.
+    """
+    new = np.append(True, np.diff(time) > 0.0)
+    moved = np.append(True, (np.diff(values, axis=0) != 0.0).any(axis=1))
+    moments = int(new.sum())
+    if moments < 2 or int((new | moved).sum()) < _ROWS_A_STAMP * moments:
+        return ""
+    step = float(np.median(np.diff(time[new])))
+    return (
+        f"its clock counts in steps of {step:.3g} s only, while the rows change in between; if the rows are"
+        " evenly spaced, give their `rate` in Hz"
+    )

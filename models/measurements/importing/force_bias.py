@@ -9,11 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.importing.clocks import bias_matters, free_force
-from slipmap.models.measurements.push_dataset import Setup
+from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
+_FREE = 5e-3  # m of air beyond which there is no contact force
+_SWINGS = 0.3  # s for which the finger swings after contact
+_STARTED = 5e-4  # m from where the finger waited at first,
+_APART = 1e-3  # m from the outline there
+_FRAMES_FIT = (-0.01, 0.02)  # m of air at the closest rows where the frames are right
+_FEWEST_ROWS = 10
+_SHARE = 0.01  # of the largest force, exceeded by a significant bias,
+_ERRORS = 5.0  # which also exceeds this many standard errors
 _FEWEST_AGREEING = 2  # pushes of a session
 _LARGEST_SPREAD = 0.25  # of their biases, relative to the bias, with which it is a common one
 
@@ -23,6 +30,39 @@ class Bias(NamedTuple):
 
     value: FloatArray  # (2,) N, along the table's x and y
     matters: bool  # whether it is significant and not small
+
+
+def free_force(
+    setup: Setup, pose: Channel, tip: Channel, force: Channel
+) -> tuple[FloatArray, FloatArray, int] | None:
+    """The sensor's reading without contact: (2,) N, its standard error (2,), and the number of rows; None if
+    there are too few."""
+    gap = gaps(setup, tip.at(force.time), pose.at(force.time))
+    begin, end = max(pose.time[0], tip.time[0]), min(pose.time[-1], tip.time[-1])
+    free = gap > _FREE
+    near = force.time[~free]
+    if len(near):  # after contact the finger swings, and with it its sensor
+        after = np.searchsorted(near, force.time)
+        free &= (after == 0) | (force.time - near[np.maximum(after - 1, 0)] > _SWINGS)
+    away = np.hypot(*(tip.values - tip.values[0]).T) > _STARTED
+    started = tip.time[np.argmax(away)] if away.any() else tip.time[-1]
+    if not _FRAMES_FIT[0] < float(np.percentile(gap, 1)) < _FRAMES_FIT[1]:
+        free[:] = False  # the frames are wrong, so the finger is not where it seems to be
+    free |= (force.time < started) & (np.abs(gap) > _APART)
+    free &= (force.time >= begin) & (force.time <= end)
+    if int(free.sum()) < _FEWEST_ROWS:
+        return None
+    values = force.values[free, :2]
+    middle = np.median(values, axis=0)
+    # Slow wander correlates the rows: about a tenth of them are independent.
+    spread = 1.4826 * np.median(np.abs(values - middle), axis=0)
+    return middle, spread / np.sqrt(max(len(values) / 10.0, 1.0)), len(values)
+
+
+def bias_matters(bias: FloatArray, error: FloatArray, force: Channel) -> bool:
+    """Whether a force without contact is significant and more than a hundredth of the largest force."""
+    largest = float(np.percentile(np.hypot(*(force.values[:, :2] - bias).T), 99))
+    return bool((np.abs(bias) > _ERRORS * error).any() and np.hypot(*bias) > _SHARE * largest)
 
 
 def force_at_rest(

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from slipmap.models.geometry import compose
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import ANGLES, LENGTHS
+from slipmap.models.measurements.importing.clocks import coarse_text, wild_rows
 from slipmap.models.measurements.importing.import_setup import ChannelSetup
 from slipmap.models.measurements.importing.source import Source, names_in
-from slipmap.models.measurements.importing.stamps import coarse_text, wild_rows
 from slipmap.models.measurements.importing.text_tables import seconds
 from slipmap.models.measurements.trial import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray

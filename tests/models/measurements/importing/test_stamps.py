@@ -5,7 +5,7 @@ import pytest
 from tables import POSE, SETUP, TIME, TIP, written
 
 from slipmap.models.measurements.importing import import_dataset
-from slipmap.models.measurements.importing.stamps import coarse_text, wild_rows
+from slipmap.models.measurements.importing.clocks import coarse_text, wild_rows
 
 NAMES = ["t", "x", "y", "theta", "a", "b"]
 
