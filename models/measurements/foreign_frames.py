@@ -21,7 +21,7 @@ from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.physics.cell_grid import FloatArray
 
-_FEWEST_PUSHES = 4
+_FEWEST_PUSHES, _MOST_PUSHES = 4, 40  # that are looked at
 _ROWS_EACH = 8  # of a push that are looked at
 _MOST_TOUCH = 0.8  # share of the pushes in which the finger must touch with a correction
 _HALF = 0.5  # share in which it does without, from which on there is nothing to correct
@@ -99,6 +99,7 @@ def frame_change(setup: Setup, pushes: Sequence[ContactRows]) -> FrameChange | N
     moving = [_moving(rows) for rows in pushes if rows.pressed.any()]
     if len(moving) < _FEWEST_PUSHES:
         return None
+    moving = [moving[k] for k in np.unique(np.linspace(0, len(moving) - 1, _MOST_PUSHES).astype(int))]
     if _touching(setup, moving, [rows.poses for rows in moving]) >= _HALF * len(moving):
         return None
     places = np.concatenate([rows.poses for rows in moving])
