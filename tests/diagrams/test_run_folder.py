@@ -497,7 +497,7 @@ def test_the_repair_and_what_the_monitor_saw_are_found_again(whole, tmp_path):
     record = recorded(tmp_path, whole, 1)
     record.keep(replace(part(whole, 2), choices=choices, watch=watch, repair=repair))
     before = resumed(tmp_path)[2]
-    assert before.repair == replace(repair, question=None)
+    assert before.repair == replace(repair, trials=1, question=None, asks_again=True)
     assert (before.watch.trials, before.watch.judged, before.watch.alarm) == (2, (judged,), True)
     assert [choice.why for choice in before.choices] == ["", "to tell a from b"]
     loop = exploration_loop(scenario(), LoopOptions(pushes=3, cells=20, adapt=True), before=before)

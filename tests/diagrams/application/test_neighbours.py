@@ -9,6 +9,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections import defaultdict
 from importlib import import_module
 from textwrap import indent
 from types import SimpleNamespace
@@ -567,6 +568,7 @@ def test_the_pace_does_not_count_the_time_of_compiling(monkeypatch):
     now = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
     monkeypatch.setattr(terminal, "_compiling", [])
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
     terminal.prepare_kernels()
     pace = terminal._Pace(0)
     lock = "numba:compiler_lock"
@@ -598,6 +600,7 @@ def test_a_long_wait_for_compiling_is_announced_once_where_some_kernels_are_ther
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
     monkeypatch.setattr(terminal, "_compiling", [])
+    monkeypatch.setattr(event, "_registered", defaultdict(list))  # nobody else listens
     terminal.prepare_kernels()
     with event.trigger_event("numba:compiler_lock"):
         now = before
@@ -609,8 +612,10 @@ def test_a_long_wait_for_compiling_is_announced_once_where_some_kernels_are_ther
 
 def test_formulas_of_effects_are_compiled_under_the_lock_that_the_pace_watches(monkeypatch):
     from numba import cfunc, float64
+    from numba.core import event
 
     monkeypatch.setattr(terminal, "_compiling", [])
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
     terminal.prepare_kernels()
     assert terminal._compiling[0].seconds == 0.0
     cfunc(float64(float64))(lambda x: x + 1.0)

@@ -93,7 +93,8 @@ def test_a_push_just_outside_its_interval_reads_so_in_every_line(capsys) -> None
 
 
 def test_a_zero_has_no_sign(capsys) -> None:
-    _show_truth([0.0664, -2e-5], [0.0664, -1e-9])
+    believed, true = [0.0664, -2e-5], [0.0664, -1e-9]
+    _show_truth({"center_of_mass_believed": believed, "center_of_mass": true, "center_of_mass_error": 2e-5})
     said = capsys.readouterr().out
     assert "66.4     0.0" in said and "-0.0" not in said
 
