@@ -38,7 +38,8 @@ _MIRRORED = (
     "x and y of the object's poses swapped and negated",
 )
 """Reflections in y followed by none to three quarter turns."""
-_EFFECT = 0.6  # rad up to which the effect `tracker_shift` reaches
+EFFECT_TURN, EFFECT_SHIFT = 0.6, 0.1
+"""Angle, rad, and shift, m, up to which the effect `tracker_shift` reaches."""
 
 
 class FrameChange(NamedTuple):
@@ -56,7 +57,8 @@ class FrameChange(NamedTuple):
     def explained(self) -> bool:
         """Whether the effect `tracker_shift` describes it."""
         follows = not self.reversed and abs(angle_between(self.turn, self.angle)) < _SMALL
-        return not self.mirrored and follows and abs(self.angle) < _EFFECT
+        near = abs(self.angle) < EFFECT_TURN and np.hypot(*self.shift) < EFFECT_SHIFT
+        return bool(not self.mirrored and follows and near)
 
     @property
     def words(self) -> str:

@@ -9,10 +9,16 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.geometry import rotated
 from slipmap.models.measurements import PushDataset, trial_checks
 from slipmap.models.measurements.contact import contact_rows
-from slipmap.models.measurements.foreign_frames import FrameChange, frame_change
+from slipmap.models.measurements.foreign_frames import (
+    EFFECT_SHIFT,
+    EFFECT_TURN,
+    FrameChange,
+    frame_change,
+)
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.measurements.trial_checks import check_trials, fault_of_frame
 from slipmap.models.objects import cells_from_polygon
@@ -101,6 +107,9 @@ def test_what_tracker_shift_describes_is_left_to_it() -> None:
     assert best is not None and np.degrees(best.angle) == pytest.approx(np.degrees(-0.4), abs=1.0)
     assert best.words.endswith("share a frame? If not, the effect tracker_shift may describe it")
     assert fault_of_frame(dataset, dataset.trials) is None
+    reach = {one.name: one.high for one in effects_named(["tracker_shift"])[0].parameters}
+    assert reach == {"x": EFFECT_SHIFT, "y": EFFECT_SHIFT, "angle": EFFECT_TURN}
+    assert not best._replace(shift=np.array([0.0, 0.3])).explained
 
 
 @pytest.mark.parametrize(
