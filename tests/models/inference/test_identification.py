@@ -199,6 +199,8 @@ def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
 def test_a_quantity_is_printed_as_precisely_as_its_interval():
     middle = Quantity("centre of friction, x", "m", -4.3e-19, -0.000386, 0.00043, True, "")
     assert str(middle) == "centre of friction, x: 0.00000 m (-0.00039 to 0.00043)"
+    spanning_decades = Quantity("total friction", "N", 0.0423, 0.00817, 1.24, False, "")
+    assert str(spanning_decades) == "total friction: 0.042 N (0.0082 to 1.2)"
 
 
 def test_a_quantity_without_an_interval_is_printed_with_four_figures():
