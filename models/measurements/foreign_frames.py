@@ -8,6 +8,8 @@ object's poses were transformed by
 the two were probably recorded in frames of which one is rotated or mirrored. α and t follow from positions of
 object and finger (Procrustes), which differ by the object's size at most; δ is scanned, and all are refined
 so that the finger touches the outline while the object moves.
+
+If each has the other's place in the recording, the object sets out before the finger does.
 """
 
 from collections.abc import Sequence
@@ -19,6 +21,7 @@ import numpy as np
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
 from slipmap.models.measurements.push_dataset import Setup, gaps
+from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FEWEST_PUSHES, _MOST_PUSHES = 4, 40  # that are looked at
@@ -31,6 +34,8 @@ _FAR = 0.05  # m at which gaps are clipped
 _SMALL = np.radians(5.0)  # rotations that calibration may leave
 _EXACT = np.radians(2.0)  # from a multiple of a right angle
 _NO_SHIFT = 0.01  # m
+_SETS_OUT, _NOISES_OUT = 5e-3, 6.0  # m, and standard deviations of noise, from its first place
+_FIRST, _LONG_FIRST = 0.05, 0.15  # s by which an object sets out first in most pushes, and in some
 _MIRRORED = (
     "y of the object's poses negated",
     "x and y of the object's poses swapped",
@@ -98,11 +103,7 @@ def frame_change(setup: Setup, pushes: Sequence[ContactRows]) -> FrameChange | N
         setup: with the outline and the finger's radius.
         pushes: rows of each push, from `contact_rows`.
     """
-    moving = [_moving(rows) for rows in pushes if rows.pressed.any()]
-    if len(moving) < _FEWEST_PUSHES:
-        return None
-    moving = [moving[k] for k in np.unique(np.linspace(0, len(moving) - 1, _MOST_PUSHES).astype(int))]
-    if _touching(setup, moving, [rows.poses for rows in moving]) >= _HALF * len(moving):
+    if not (moving := _apart(setup, pushes)):
         return None
     places = np.concatenate([rows.poses for rows in moving])
     tips = np.concatenate([rows.tips for rows in moving])
@@ -115,6 +116,47 @@ def frame_change(setup: Setup, pushes: Sequence[ContactRows]) -> FrameChange | N
     if best is None or best.touching < _MOST_TOUCH * len(moving):
         return None
     return best if best.mirrored or abs(best.angle) > _SMALL else None
+
+
+def exchanged(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
+    """Evidence, as a clause, that object and finger are exchanged or that the finger's clock is late: in most
+    pushes the object sets out first, and the finger is not at its outline; else None.
+
+    Args:
+        setup, pushes: as for `frame_change`.
+    """
+    if not _apart(setup, pushes):
+        return None
+    leads = []
+    for rows in pushes:
+        far = max(_SETS_OUT, _NOISES_OUT * rows.noise.position)
+        tip, pose = (_sets_out(track, far) for track in (rows.trial.tip_pose, rows.trial.object_pose))
+        if tip is not None and pose is not None and not rows.trial.ends_only:
+            leads.append(tip - pose)
+    first = sum(lead > _FIRST for lead in leads)
+    if len(leads) < _FEWEST_PUSHES or first < _MOST_TOUCH * len(leads) or max(leads) < _LONG_FIRST:
+        return None
+    return (
+        f"the object moves before the finger does in {first} of {len(leads)} pushes, by up to"
+        f" {max(leads):.2g} s; are the columns of object and finger exchanged, or is the finger's clock late?"
+    )
+
+
+def _sets_out(track: Channel, far: float) -> float | None:
+    """When a track first is `far` m from its first place, s; None if it never is."""
+    away = np.flatnonzero(np.hypot(*(track.values[:, :2] - track.values[0, :2]).T) > far)
+    return float(track.time[away[0]]) if len(away) else None
+
+
+def _apart(setup: Setup, pushes: Sequence[ContactRows]) -> list[ContactRows]:
+    """Some rows of the pushes on which the object moves; empty if the finger is at the outline in half of
+    them, or if they are too few."""
+    moving = [_moving(rows) for rows in pushes if rows.pressed.any()]
+    if len(moving) < _FEWEST_PUSHES:
+        return []
+    moving = [moving[k] for k in np.unique(np.linspace(0, len(moving) - 1, _MOST_PUSHES).astype(int))]
+    touching = _touching(setup, moving, [rows.poses for rows in moving])
+    return [] if touching >= _HALF * len(moving) else moving
 
 
 def _moving(rows: ContactRows) -> ContactRows:

@@ -21,7 +21,7 @@ from slipmap.models.measurements.contact import (
     contact_rows,
     force_complaint,
 )
-from slipmap.models.measurements.foreign_frames import frame_change
+from slipmap.models.measurements.foreign_frames import exchanged, frame_change
 from slipmap.models.measurements.motion import stamp_jitter
 from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
@@ -103,7 +103,9 @@ def check_trials(
     if complaint is not None:
         found.pop(_PULLS, None)  # the complaint is its cause
         told.append(f"{where}: {complaint}")
-    if not frame_wrong and (change := frame_change(setup, seen)) is not None:
+    if (first := exchanged(setup, seen)) is not None:
+        told.append(f"{where}: {first}")
+    elif not frame_wrong and (change := frame_change(setup, seen)) is not None:
         told.append(f"{where}: {change.words}")
     if (away := never_near(setup, chosen)) is not None:
         found.pop(_NOT_NEAR, None)  # the same, push by push
@@ -233,8 +235,8 @@ def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
     """Evidence, as a clause, that theta has the wrong sign or is off by a quarter or half turn, that the
-    outline is mirrored, that no finger comes near, or that object and finger have different frames; else
-    None.
+    outline is mirrored, that no finger comes near, or that object and finger are exchanged or have different
+    frames; else None.
 
     In the first cases the finger goes into the object in at least half of the pushes, and would not if this
     were corrected. No effect explains this.
@@ -242,6 +244,8 @@ def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
     if (away := never_near(setup, trials)) is not None:
         return "; ".join(away)
     seen = contact_rows(setup, trials)
+    if (first := exchanged(setup, seen)) is not None:
+        return first
     deep = [rows for rows in seen if _too_deep(rows)]
     cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
     if cause is None:

@@ -17,9 +17,11 @@ from slipmap.models.measurements.foreign_frames import (
     EFFECT_SHIFT,
     EFFECT_TURN,
     FrameChange,
+    exchanged,
     frame_change,
 )
 from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.measurements.trial_checks import check_trials, fault_of_frame
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import FloatArray
@@ -128,3 +130,67 @@ def test_nothing_is_named_where_frames_agree(change: Change) -> None:
 
 def test_pushes_at_one_place_show_no_rotation() -> None:
     assert found(with_poses(SWAPPED, recorded(spread=0.01))) is None
+
+
+@pytest.mark.parametrize("theta", ["the object's", "none"])
+def test_columns_of_object_and_finger_that_are_exchanged_are_told(theta: str) -> None:
+    dataset = recorded()
+    trials = []
+    for trial in dataset.trials:
+        pose, tip = trial.object_pose, trial.tip_pose
+        turn = pose.at(tip.time)[:, 2] if theta == "the object's" else np.zeros(len(tip.time))
+        taken = replace(pose, time=tip.time, values=np.column_stack([tip.values, turn]))
+        left = replace(tip, time=pose.time, values=pose.values[:, :2])
+        trials.append(replace(trial, object_pose=taken, tip_pose=left))
+    wrong = replace(dataset, trials=tuple(trials))
+    told = exchanged(wrong, contact_rows(wrong, wrong.trials))
+    assert told is not None and told.startswith("the object moves before the finger does in ")
+    assert "are the columns of object and finger exchanged" in told
+    assert fault_of_frame(wrong, wrong.trials) == told
+    _, warnings = check_trials(wrong, wrong.trials, "here", lambda trial: True)
+    assert f"here: {told}" in warnings
+
+
+def with_finger_later(seconds: float, trial: Trial) -> Trial:
+    return replace(trial, tip_pose=replace(trial.tip_pose, time=trial.tip_pose.time + seconds))
+
+
+def test_a_late_clock_of_the_finger_alone_is_not_called_exchanged() -> None:
+    dataset = recorded()
+
+    def told(seconds: list[float]) -> str | None:
+        trials = [with_finger_later(*pair) for pair in zip(seconds, dataset.trials, strict=True)]
+        return exchanged(dataset, contact_rows(dataset, trials))
+
+    leads = [sets_out(trial.tip_pose) - sets_out(trial.object_pose) for trial in dataset.trials]
+    assert told([0.0] * 10) is None
+    assert told([0.27] * 10) is None
+    assert told([0.1 - lead for lead in leads]) is None
+    assert "10 of 10 pushes, by up to 0.2 s" in (told([0.2 - lead for lead in leads]) or "")
+
+
+def sets_out(track: Channel) -> float:
+    away = np.hypot(*(track.values[:, :2] - track.values[0, :2]).T) > 5e-3
+    return float(track.time[np.argmax(away)])
+
+
+def test_objects_that_a_table_carries_while_the_finger_waits_are_not_exchanged() -> None:
+    def carried(trial: Trial) -> Trial:
+        """On a table that moves by 5 mm/s, from 2 s before the finger moves, in its frame."""
+        before = np.linspace(0.0, 1.99, 100)
+        pose, tip = trial.object_pose, trial.tip_pose
+        drift = np.array([5e-3, 0.0, 0.0])
+        poses = np.vstack([np.tile(pose.values[0], (100, 1)), pose.values])
+        poses += np.concatenate([before, 2.0 + pose.time - pose.time[0]])[:, None] * drift
+        tips = np.vstack([np.tile(tip.values[0], (100, 1)), tip.values])
+        tips[100:] += (2.0 + tip.time - tip.time[0])[:, None] * drift[:2]
+        return replace(
+            trial,
+            object_pose=replace(
+                pose, time=np.concatenate([before, 2.0 + pose.time - pose.time[0]]), values=poses
+            ),
+            tip_pose=replace(tip, time=np.concatenate([before, 2.0 + tip.time - tip.time[0]]), values=tips),
+        )
+
+    dataset = recorded()
+    assert exchanged(dataset, contact_rows(dataset, [carried(trial) for trial in dataset.trials])) is None
