@@ -14,6 +14,8 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.kernel_tools import JoinedPushes
 from slipmap.models.settings import check_kind, check_several
 
+_FARTHEST = 10.0  # m between finger and object; no finger is as far, but lengths in mm are
+
 
 @dataclass(frozen=True, eq=False)
 class Push:
@@ -33,8 +35,8 @@ class Push:
             around its time.
 
     Raises:
-        ValueError: shapes do not match, the step is not positive, the span of forces is negative, or times
-            lie outside the push or do not ascend.
+        ValueError: shapes do not match, the step is not positive, the span of forces is negative, times lie
+            outside the push or do not ascend, or the finger stays more than 10 m away.
 
     Example:
         >>> import numpy as np
@@ -76,6 +78,12 @@ class Push:
             if value.shape != (3,) or not np.isfinite(value).all():
                 raise ValueError(f"push: {name} must be three finite numbers, got {value}")
             object.__setattr__(self, name, value)
+        away = np.hypot(*(tip[~absent] - self.start_pose[:2]).T)
+        if len(away) and away.min() > _FARTHEST:
+            raise ValueError(
+                f"push: the finger stays {away.min():.3g} m away from start_pose; are tip and start_pose in m?"
+                " A finger that is absent has NaN in both columns"
+            )
         if self.pose_times is None:
             object.__setattr__(self, "pose_times", self.h * np.arange(1, steps + 1))
         for name in ("pose_times", "force_times"):

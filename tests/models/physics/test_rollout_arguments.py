@@ -56,6 +56,7 @@ BAD_PUSHES: dict[str, tuple[dict[str, Any], str]] = {
     "wrench of three": ({"wrench": np.zeros((STEPS, 3))}, "wrench"),
     "tip half there": ({"tip": with_value(TIP, (5, 1), NAN)}, "tip"),
     "tip at infinity": ({"tip": with_value(TIP, (5, 0), np.inf)}, "tip"),
+    "lengths in mm": ({"tip": 1e3 * TIP + [0.0, 30.0]}, "start_pose in m"),
     "time not a number": ({"pose_times": np.array([0.05, NAN])}, "pose_times"),
     "force time not a number": ({"force_times": np.array([NAN])}, "force_times"),
     "table of times": ({"pose_times": np.zeros((2, 2))}, "pose_times"),
