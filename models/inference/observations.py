@@ -13,7 +13,6 @@ from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from slipmap.models.geometry import rotated
 from slipmap.models.measurements import (
-    Channel,
     DatasetError,
     PushDataset,
     Trial,
@@ -21,7 +20,7 @@ from slipmap.models.measurements import (
     pose_times,
     wrench_samples,
 )
-from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.measurements.rim_checks import beside_table
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
@@ -200,11 +199,6 @@ def to_learn_from(pushes: Sequence[T]) -> list[T]:
     return [pushes[b] for b in np.sort(drawn)]
 
 
-def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
-    """Values (M, c) at ascending times (M,), linearly interpolated at the wanted times (N,): (N, c)."""
-    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
-
-
 def _smooth(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Times and places of `smooth_track`, and how far the likeliest tracks are from them at most, m.
 
@@ -269,7 +263,7 @@ def _without_long_rest(trial: Trial) -> Trial:
         return trial
     beside = max(0.5 * moving, min(0.5 * _LONG_REST * whole, _LEAST_REST))
     kept = (time >= time[first] - beside) & (time <= time[last] + beside)
-    return replace(trial, object_pose=Channel(time[kept], poses[kept]))
+    return replace(trial, object_pose=trial.object_pose.chosen(kept))
 
 
 def _averaged_rows(times: FloatArray, poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:

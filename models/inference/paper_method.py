@@ -39,10 +39,9 @@ import numpy as np
 
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import interpolated
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, finger_path, pose_times
-from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import cell_poses
 from slipmap.models.physics.rollout import Maps, Push, Slider

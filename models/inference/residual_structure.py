@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import rotated
-from slipmap.models.inference.observations import Observation, interpolated
+from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Motion
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Phase, Residuals, centroid_tracks
 from slipmap.models.inference.sign_flips import (
@@ -38,6 +38,7 @@ from slipmap.models.inference.sign_flips import (
     random_signs,
     sign_flip_test,
 )
+from slipmap.models.measurements.motion import interpolated
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 Columns = dict[str, FloatArray]

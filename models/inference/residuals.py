@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration, seen_from
-from slipmap.models.inference.observations import SAMPLES, Observation, interpolated
+from slipmap.models.inference.observations import SAMPLES, Observation
 from slipmap.models.inference.prediction import Motion
+from slipmap.models.measurements.motion import interpolated
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
+from slipmap.models.measurements.motion import spread_rows
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -101,7 +102,7 @@ def frame_change(setup: Setup, pushes: Sequence[ContactRows]) -> FrameChange | N
     moving = [_moving(rows) for rows in pushes if rows.pressed.any()]
     if len(moving) < _FEWEST_PUSHES:
         return None
-    moving = [moving[k] for k in np.unique(np.linspace(0, len(moving) - 1, _MOST_PUSHES).astype(int))]
+    moving = [moving[k] for k in spread_rows(len(moving), _MOST_PUSHES)]
     if _touching(setup, moving, [rows.poses for rows in moving]) >= _HALF * len(moving):
         return None
     places = np.concatenate([rows.poses for rows in moving])
@@ -119,7 +120,7 @@ def frame_change(setup: Setup, pushes: Sequence[ContactRows]) -> FrameChange | N
 
 def _moving(rows: ContactRows) -> ContactRows:
     pressed = np.flatnonzero(rows.pressed)
-    return rows.chosen(pressed[np.unique(np.linspace(0, len(pressed) - 1, _ROWS_EACH).astype(int))])
+    return rows.chosen(pressed[spread_rows(len(pressed), _ROWS_EACH)])
 
 
 def _touching(setup: Setup, pushes: Sequence[ContactRows], poses: Sequence[FloatArray]) -> int:

@@ -22,7 +22,7 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.foreign_frames import frame_change
-from slipmap.models.measurements.motion import stamp_jitter
+from slipmap.models.measurements.motion import spread_rows, stamp_jitter
 from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
@@ -566,7 +566,7 @@ def _clearance(setup: Setup, trial: Trial) -> float:
             for pose in trial.object_pose.values
         ]
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius
-    chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, _MOST_ROWS).astype(int))
+    chosen = spread_rows(len(trial.tip_pose.time), _MOST_ROWS)
     tips = trial.tip_pose.values[chosen]
     return float(np.min(gaps(setup, tips, trial.object_pose.at(trial.tip_pose.time[chosen]))))
 
