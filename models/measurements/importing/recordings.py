@@ -48,11 +48,6 @@ _NOWHERE = 100.0  # m from the object, where an absent finger is placed
 _LONGEST = 1e5  # s of a recording
 _FEWEST_ROWS = 10  # rows of a push after which stamps may start again,
 _NEAR_START = 0.1  # within this share of its duration from where they began
-_CUT_WHERE = {
-    "while the finger is away": "the object is carried while the finger is away",
-    "no rows of object and finger": "nothing was recorded for a while",
-}
-"""Words of `cut_at_carries`, and the remark to which they lead."""
 
 
 def import_dataset(
@@ -508,13 +503,13 @@ def _one_clock(
 def _parted(setup: Setup, trial: Trial, name: str) -> tuple[list[Trial], list[str]]:
     """The pushes of a recording, and remarks on where it was cut."""
     pushes, cuts = cut_at_carries(setup, [trial], name)
-    steps = [f"cut where {why}" for sign, why in _CUT_WHERE.items() if any(sign in text for text in cuts)]
+    steps = [f"cut where {reason}" for cut in cuts for reason in cut.reasons]
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push, LONGEST_PUSH)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
     for piece in parted:
-        refuse_long(piece.object_pose, f"{piece.name}")
+        refuse_long(piece.object_pose, piece.name)
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return parted, steps
@@ -544,7 +539,7 @@ def _lowered(trial: Trial) -> Trial:
     tip = trial.tip_pose
     away = tip.values - trial.object_pose.at(tip.time)[:, :2]
     down = np.hypot(*away.T) < 0.5 * _NOWHERE
-    return replace(trial, tip_pose=Channel(tip.time[down], tip.values[down])) if down.any() else trial
+    return replace(trial, tip_pose=tip.chosen(down)) if down.any() else trial
 
 
 def _stands_alone(lag: Lag | None, usual: Lag) -> bool:
