@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
+from slipmap.models.effects.effect import Scene
 from slipmap.models.geometry import rotated
 from slipmap.models.measurements import (
     DatasetError,
@@ -22,7 +23,7 @@ from slipmap.models.measurements import (
 )
 from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.measurements.rim_checks import beside_table
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing
 
@@ -189,6 +190,33 @@ def observe_all(
         if (off := beside_table(dataset, trial)) is not None:
             raise DatasetError(f"dataset {dataset.name}: {trial.name}: {off}")
     return [observe(trial, trial.order or 0, coarseness, reach=dataset.reach) for trial in chosen]
+
+
+def moving_speeds(push: Push) -> FloatArray:
+    """(k,) speeds of the finger, m/s, in the steps in which it moves; none without a finger."""
+    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
+    return speed[np.isfinite(speed) & (speed > 1e-3)]
+
+
+def scene_of(observations: Sequence[Observation], grids: Sequence[CellGrid], weight: float) -> Scene:
+    """The scene from which effects derive their starting values.
+
+    Args:
+        observations: pushes of one object or several.
+        grids: of these objects.
+        weight: of an object, N.
+    """
+    poses = np.concatenate([o.poses for o in observations])[:, :2]
+    center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
+    speeds = [float(moving.mean()) for o in observations if len(moving := moving_speeds(o.push))]
+    return Scene(
+        (float(center[0]), float(center[1])),
+        float(np.abs(poses - center).max()),
+        max(float(np.linalg.norm(grid.exterior, axis=1).max()) for grid in grids),
+        float(np.median(speeds)) if speeds else 0.05,
+        len(observations),
+        weight,
+    )
 
 
 def to_learn_from(pushes: Sequence[T]) -> list[T]:

@@ -27,7 +27,7 @@ from slipmap.models.inference.likelihood import (
     LikelihoodSettings,
     NormalEquations,
 )
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.observations import Observation, scene_of
 from slipmap.models.inference.prior import (
     EffectCoordinates,
     MapPrior,
@@ -272,18 +272,7 @@ class Together:
     def scene(self) -> Scene:
         """The scene from which effects derive their starting values."""
         observations = [o for one in self.taught for o in one.observations]
-        poses = np.concatenate([o.poses for o in observations])[:, :2]
-        center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
-        speeds = [np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h for o in observations]
-        moving = [float(v[v > 1e-3].mean()) for v in speeds if (v > 1e-3).any()]
-        return Scene(
-            (float(center[0]), float(center[1])),
-            float(np.abs(poses - center).max()),
-            max(float(np.linalg.norm(one.dataset.grid.exterior, axis=1).max()) for one in self.taught),
-            float(np.median(moving)) if moving else 0.05,
-            len(observations),
-            self.weight,
-        )
+        return scene_of(observations, [one.dataset.grid for one in self.taught], self.weight)
 
     def first_gains(
         self,
