@@ -98,9 +98,7 @@ def resting_misfit(
     middle = at_centroid(mean, grid) * scale
     r = at_centroid(observed, grid) * scale - middle
     spread = at_centroid(predicted, grid) * scale - middle
-    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-    # One row: the factors are standard deviations.
-    sigma = whitening_factors(observation_of(push, mean[None]), error, grid)[:, 0, 0]
+    sigma = _rest_deviations(start, mean, error, grid)
     if forces is not None:
         measured, every = forces
         expected = probability @ every
@@ -116,6 +114,13 @@ def resting_misfit(
     # had p < 0.01; with a spread taken as exact, 11 %.
     p = fdtrc(n, 2 * taught, square / n) if taught else chdtrc(n, square)
     return float(np.sqrt(square / n)), float(p)
+
+
+def _rest_deviations(start: FloatArray, rest: FloatArray, error: ErrorModel, grid: CellGrid) -> FloatArray:
+    """(3,) standard deviations of x, y and ρ θ at rest, m, of an object that moves from a pose to another."""
+    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
+    # One row: the factors are standard deviations.
+    return whitening_factors(observation_of(push, rest[None]), error, grid)[:, 0, 0]
 
 
 def resting_region(
@@ -138,9 +143,8 @@ def resting_region(
         off = model_deviations(belief, start, predicted)
         drawn = drawn_ends(belief, [observation], tracker)[:, 0]
         return EndRegion.of(drawn, belief.probability, error.noise.of_poses, off)
-    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-    seen = observation_of(push, (belief.probability @ predicted)[None])
-    sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]
+    sigma = _rest_deviations(start, belief.probability @ predicted, error, belief.grid)
+    sigma /= [1, 1, radius_of_gyration(belief.grid)]
     return EndRegion.of(predicted, belief.probability, sigma)
 
 

@@ -51,6 +51,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointDiagnosis,
     JointIdentification,
     ParameterEstimate,
+    estimated,
 )
 from slipmap.models.inference.diagnosis.verdict_rules import far_above_noise
 from slipmap.models.inference.identification import check_request, learn
@@ -536,7 +537,7 @@ class _Inquiry:
             own, widths = (np.array([each[part][i] for each in apart]) for part in (0, 1))
             known = (widths**-2.0).sum() + one.fit.scales[i] ** -2
             deviations[i] = np.sqrt(max(deviations[i] ** 2, 1.0 / known) + between(own, widths) / len(apart))
-        every = _intervals(one.fit.effects, values, deviations)
+        every = estimated(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
 
     def _alone(self, fit: JointFit, place: int) -> tuple[FloatArray, FloatArray]:
@@ -552,7 +553,7 @@ class _Inquiry:
             place, before = self._place(k), self.before[k]
             by_itself: tuple[ParameterEstimate, ...] = ()
             if best is not None and place is not None:
-                by_itself = _intervals(best.fit.effects, *self._alone(best.fit, place))
+                by_itself = estimated(best.fit.effects, *self._alone(best.fit, place))
             results.append(
                 DatasetResult(
                     ground.taught.dataset.name,
@@ -585,14 +586,3 @@ class _Inquiry:
             0.0, self.seed, answer.together, tuple(sorted(self.apart)),
             leading[0].fit.effects[0].belongs_to if leading else None, tuple(first),
         )  # fmt: skip
-
-
-def _intervals(
-    effects: Sequence[Effect], values: FloatArray, spread: FloatArray
-) -> tuple[ParameterEstimate, ...]:
-    """90 % intervals, clipped to the allowed range."""
-    allowed = bounds(effects)
-    rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
-    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
-    numbers = zip(every, *rows, strict=True)
-    return tuple(ParameterEstimate(*names, *own) for names, *own in numbers)
