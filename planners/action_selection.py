@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import placed, radius_of_gyration, rotated, turn
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
+from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Rollouts, Slider
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
-from slipmap.planners.rehearsal import AFTERWARDS, RAMP
+from slipmap.planners.rehearsal import AFTERWARDS, RAMP, sampled_push
 from slipmap.planners.settings import NEGLIGIBLE, STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
@@ -311,6 +311,4 @@ def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     h = min(LONGEST_STEP, LONGEST_STRIDE / push.speed)
     times = h * np.arange(np.ceil((pace.duration + AFTERWARDS) / h) + 1)
-    looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
-    tip = push.begin + np.outer(pace.at(times), push.direction)
-    return Push(h, tip, pose, pose_times=looks, force_times=times[1:] - h / 2, order=order)
+    return sampled_push(h, times, push.begin + np.outer(pace.at(times), push.direction), pose, order)

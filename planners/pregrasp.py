@@ -50,9 +50,7 @@ def planning_belief(
         k = int(rng.choice(len(belief), p=belief.probability / belief.probability.sum()))
         return _alone(belief, belief.maps[k : k + 1], method)
     if method == "uniform":
-        even = uniform_maps(belief)
-        effects = (belief.probability @ belief.maps.effects)[None]
-        return _alone(belief, Maps(even.mass, even.mu, even.mu_finger, effects), method)
+        return _alone(belief, uniform_maps(belief), method)
     if method == "true":
         if truth is None or len(truth) != 1:
             raise ValueError("method 'true' needs the true maps, exactly one hypothesis")
