@@ -83,7 +83,6 @@ def choose_push(
     on it, but its end depends on the outline more than on the maps.
 
     Args:
-        grid: the object.
         pose: (3,) of the object as the tracker reports it, world, m and rad; the push is made where the
             object is expected to be (`Belief.true_pose`).
         finger_radius: m.
@@ -97,7 +96,6 @@ def choose_push(
             the finger must stay in contact.
         table: its top; that of the belief if None. If neither is known, nothing is known to fall.
         allowed: whether the robot can make a push; called in order of preference until one is found.
-        rng: source of every draw.
 
     Raises:
         ValueError: an unknown strategy.

@@ -174,10 +174,7 @@ def separations(
     """(pairs, B) distances between the predictions of each pair of models, in standard deviations.
 
     Args:
-        predictions: of each model.
         pushes: B pushes.
-        error: error model.
-        grid: the object.
         habits: how many rows are averaged, and whether the object is seen only before and after a push.
     """
     pairs = list(combinations(range(len(predictions)), 2))
@@ -215,7 +212,6 @@ def keeps_touch(push: Push, forces: FloatArray) -> bool:
     """Whether the finger stays in contact from first touch to its stop: models cannot say when it slides off.
 
     Args:
-        push: the simulated push.
         forces: (S, 2) predicted for it.
     """
     size = np.hypot(*forces.T)

@@ -107,8 +107,6 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     """The push that a person should make next.
 
     Args:
-        diagnosis: of the dataset.
-        dataset: that was diagnosed.
         seed: of the candidate pushes.
 
     Returns:
@@ -216,10 +214,6 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
     With several effects left, these effects. With one, the models with and without it, because the robot must
     be sure that the effect is present. If the verdict is `undecided`, the `_LEADING` effects that gain most,
     in ordinary size, and the model without any; effects of the force sensor move nothing and do not count.
-
-    Args:
-        diagnosis: of the dataset.
-        dataset: that was diagnosed.
 
     Returns:
         None if there is nothing to tell apart: `adequate` and `unknown`.

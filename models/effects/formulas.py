@@ -39,7 +39,6 @@ class Slots:
     """The combined changes of several effects, as SymPy expressions.
 
     Args:
-        effects: the effects.
         slope: (2,) acceleration by which gravity pulls along the table for effects besides these, world.
 
     Attributes:

@@ -142,7 +142,6 @@ def quantities(
     """Value, 90 % interval and verdict for each quantity.
 
     Args:
-        belief: the hypotheses.
         informed: fits that they come from; the first decides what is shown, of shares all of them.
         contradicted: whether a measured force was left out because it contradicts the contact.
         bold: whether maps that vary strongly were compared with the others.

@@ -377,7 +377,6 @@ class Likelihood(PushLikelihood):
         prior: coordinates of the maps.
         observations: B pushes.
         noise: of the sensors, where declared.
-        settings: how far the data are trusted.
     """
 
     def __init__(

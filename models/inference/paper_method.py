@@ -250,7 +250,6 @@ def identify_by_algorithm_1(
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
         hypotheses: K.
         seed: recorded in the belief; the algorithm makes no random draws.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError: no fit push with three poses or more, or none that moves the object.

@@ -251,10 +251,8 @@ def predict_observations(
     """Do the work of `predict` on prepared observations.
 
     Args:
-        belief: what was learned.
         observations: B pushes.
         noise: of the sensors that measured them.
-        progress: called with (stage, done, total).
     """
     grid, slider = belief.grid, belief.slider
     pushes = [observation.push for observation in observations]
@@ -302,7 +300,6 @@ def model_deviations(belief: Belief, start: FloatArray, ends: FloatArray) -> Flo
     equally likely ones.
 
     Args:
-        belief: what was learned.
         start: (3,) pose before the push.
         ends: (K, 3) where its hypotheses end.
     """

@@ -85,7 +85,6 @@ def resting_misfit(
         predicted: (K, 3) rest poses of the hypotheses.
         probability: (K,) of the hypotheses.
         error: noise of the poses, α, and β, the relative model error of a force.
-        grid: cells.
         forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to use the
             pose alone.
         taught: number of pushes that the hypotheses were learned from; 0 if their spread is exact.
@@ -132,7 +131,6 @@ def resting_region(
     poses, with α for the model error.
 
     Args:
-        observation: the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.
         belief: what predicted them.
         error: noise of the rest pose, and α.

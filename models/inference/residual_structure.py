@@ -303,7 +303,6 @@ def described(
     """Pattern of the strongest coordinate: its slope, with the sandwich interval over pushes.
 
     Args:
-        test: result for the scores.
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features, so that the slope is the ratio of both sums over pushes.
         names: (d,) of the coordinates; factor, title and quantity are as in `Pattern`.

@@ -98,11 +98,9 @@ def conditions(
 
     Args:
         push: its index.
-        observation: the push.
         poses: (S, 3) predicted poses at the observation's pose times.
         begin: (N,) s after the first pose.
         end: (N,) s after the first pose, later than `begin`.
-        grid: cells and outline.
         finger_radius: m.
     """
     assert observation.push.pose_times is not None

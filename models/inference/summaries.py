@@ -34,7 +34,6 @@ def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> 
     Args:
         poses: (K, …, 3) of the object frame, m and rad; angles to be averaged do not wrap.
         probability: (K,) sums to one.
-        grid: cells of the object.
 
     Returns:
         (…, 3) poses.

@@ -57,7 +57,6 @@ def is_shared(effect: Effect, apart: Collection[str]) -> bool:
     """Whether several datasets share an effect's parameters.
 
     Args:
-        effect: the effect.
         apart: owners of effects (`Effect.belongs_to`) that the datasets do not share.
     """
     return effect.belongs_to != "object" and effect.belongs_to not in apart
@@ -204,12 +203,7 @@ class JointPrior(EffectCoordinates):
 
 
 class JointLikelihood:
-    """Costs of the pushes of several datasets, like `PushLikelihood` for one.
-
-    Args:
-        prior: joint coordinates.
-        parts: likelihood of each dataset.
-    """
+    """Costs of the pushes of several datasets, like `PushLikelihood` for one."""
 
     def __init__(self, prior: JointPrior, parts: Sequence[Likelihood]) -> None:
         self.prior = prior
@@ -251,7 +245,6 @@ class Together:
     """The model of several datasets.
 
     Args:
-        taught: the datasets.
         apart: owners of effects that they do not share.
         weight: scale of effects that are forces, one for all datasets, N; the objects' mean weight if None.
     """
@@ -292,8 +285,6 @@ class Together:
         so these are widened first.
 
         Args:
-            effects: to try.
-            progress: called with the numbers of parts done and of all parts.
             draws: random sign patterns for the p-values; without any there are none.
             rng: of the signs.
             beside: a model `around` which the datasets are taken, whose effects stay in the model and are

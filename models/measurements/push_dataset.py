@@ -381,7 +381,6 @@ def dataset_of(
 
     Args:
         trials: one or more.
-        grid: the object.
         finger_radius: m.
         mass: of the object, if it was weighed, kg.
         gravity: m/s².

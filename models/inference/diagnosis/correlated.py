@@ -59,7 +59,6 @@ class FitData:
 
     Args:
         observations: B pushes.
-        grid: of the object.
 
     Attributes:
         observations: the same.
@@ -203,7 +202,6 @@ def whitened_rows(
     """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, with its unknown start as noise.
 
     Args:
-        likelihood: that whitens.
         rows: of each push, at its start offset.
         offsets: (B, 3) these offsets. As noise, a start has mean zero, so they are taken out of the residuals
             to first order.

@@ -161,8 +161,6 @@ class Fitter:
         """Fit the model with some effects.
 
         Args:
-            effects: effects in the model.
-            error: error model.
             near: fit to start from; None to start only afresh.
             values: (P,) parameters to start from.
             afresh: start a second time from where the forgiving likelihood leads: without the effect, the

@@ -108,7 +108,6 @@ def diagnose_together(
             `finger`, `force sensor`; the object is never shared.
         draws: random signs of whole pushes for the p-values; with 0 there are none.
         seed: of the draws and of the choice of locked pushes.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError: fewer than two datasets, two with the same name or the same push, or one without a push
@@ -152,7 +151,6 @@ def fit_together(
         datasets, apart, progress: as in `diagnose_together`.
         effects: of the model; those of the library may be given by name.
         hypotheses: of each belief, at least 2.
-        seed: of every random draw.
 
     Raises:
         DatasetError: as in `diagnose_together`, or the model with the effects cannot be fitted.
@@ -215,9 +213,7 @@ def named_by_evidence(
 
     Args:
         dataset: with the locked pushes held out.
-        effects: candidates.
         seed: of the predictions.
-        progress: called with the numbers of parts done and of all parts.
 
     Returns:
         One effect, or two, the first first; empty if none is named.

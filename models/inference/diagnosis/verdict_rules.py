@@ -144,7 +144,6 @@ class Rules:
         """Index of the largest gain that counts, or None where none does.
 
         Args:
-            screening: gains.
             floor: gain that a named effect must exceed, nats.
             probe_floor: gain that a probe must exceed, nats.
         """
