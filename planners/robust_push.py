@@ -264,11 +264,7 @@ class Lookahead:
     """
 
     def __init__(
-        self,
-        foresight: Foresight,
-        metric: PoseMetric,
-        settings: PushSettings,
-        rng: np.random.Generator,
+        self, foresight: Foresight, metric: PoseMetric, settings: PushSettings, rng: np.random.Generator
     ) -> None:
         self._metric = metric
         self._settings = settings

@@ -23,11 +23,7 @@ from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.hypotheses import unexplained_share
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import (
-    Prediction,
-    check_same_object,
-    predict_observations,
-)
+from slipmap.models.inference.prediction import Prediction, check_same_object, predict_observations
 from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
 from slipmap.models.inference.residual_structure import (
     LEVEL,

@@ -380,11 +380,7 @@ class Likelihood(PushLikelihood):
     """
 
     def __init__(
-        self,
-        prior: MapPrior,
-        observations: Sequence[Observation],
-        noise: Noise,
-        settings: LikelihoodSettings,
+        self, prior: MapPrior, observations: Sequence[Observation], noise: Noise, settings: LikelihoodSettings
     ) -> None:
         start = np.array([settings.start_position, settings.start_position, settings.start_angle])
         if noise.position is not None and noise.angle is not None:

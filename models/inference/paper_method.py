@@ -233,11 +233,7 @@ def algorithm_1(
 
 
 def identify_by_algorithm_1(
-    dataset: PushDataset,
-    *,
-    hypotheses: int = 20,
-    seed: int = 0,
-    progress: Progress | None = None,
+    dataset: PushDataset, *, hypotheses: int = 20, seed: int = 0, progress: Progress | None = None
 ) -> Belief:
     """Algorithm 1 on the fit pushes of a dataset, with parameters that suit small and heavy objects alike.
 

@@ -243,10 +243,7 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
 
 
 def predict_observations(
-    belief: Belief,
-    observations: Sequence[Observation],
-    noise: SensorNoise,
-    progress: Progress | None = None,
+    belief: Belief, observations: Sequence[Observation], noise: SensorNoise, progress: Progress | None = None
 ) -> tuple[Prediction, ...]:
     """Do the work of `predict` on prepared observations.
 

@@ -40,11 +40,7 @@ class Errors:
 
 
 def errors(
-    observation: Observation,
-    poses: FloatArray,
-    forces: FloatArray | None,
-    grid: CellGrid,
-    noise: SensorNoise,
+    observation: Observation, poses: FloatArray, forces: FloatArray | None, grid: CellGrid, noise: SensorNoise
 ) -> Errors:
     """Compare predicted poses (S, 3) and forces (T, 2), or None for no forces, with one push."""
     measured = observation.poses

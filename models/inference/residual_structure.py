@@ -360,10 +360,7 @@ class _Track:
 
 
 def correlations(
-    observations: Sequence[Observation],
-    motions: Sequence[Motion],
-    grid: CellGrid,
-    rng: np.random.Generator,
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, rng: np.random.Generator
 ) -> Correlations | None:
     """Correlations over all pushes that were measured along the way; None where there are too few."""
     found = [_track(o, motion, grid) for o, motion in zip(observations, motions, strict=True)]
@@ -386,10 +383,7 @@ def correlations(
 
 
 def delay_pattern(
-    observations: Sequence[Observation],
-    motions: Sequence[Motion],
-    grid: CellGrid,
-    rng: np.random.Generator,
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, rng: np.random.Generator
 ) -> Pattern | None:
     """Delay of measured poses: minus the slope of the residual over the predicted velocity."""
     scores, powers = [], []

@@ -22,18 +22,9 @@ from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference import friction_laws
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.hypotheses import fit_with_trust
-from slipmap.models.inference.likelihood import (
-    Likelihood,
-    LikelihoodSettings,
-    NormalEquations,
-)
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings, NormalEquations
 from slipmap.models.inference.observations import Observation, scene_of
-from slipmap.models.inference.prior import (
-    EffectCoordinates,
-    MapPrior,
-    slider_for,
-    structures_of,
-)
+from slipmap.models.inference.prior import EffectCoordinates, MapPrior, slider_for, structures_of
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress, part_of

@@ -300,10 +300,7 @@ def _assembled(
     trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
     warnings += _gathered(found) + doubts
     return PushDataset(
-        **vars(setup),
-        trials=tuple(trials),
-        fingerprint=fingerprint.hexdigest(),
-        warnings=tuple(warnings),
+        **vars(setup), trials=tuple(trials), fingerprint=fingerprint.hexdigest(), warnings=tuple(warnings)
     )
 
 

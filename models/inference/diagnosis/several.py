@@ -37,13 +37,7 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
 from slipmap.models.inference.alone import alone
 from slipmap.models.inference.diagnosis.joint_answer import answer_about, joint_answer, objection_to
-from slipmap.models.inference.diagnosis.locked import (
-    CLEARLY,
-    Ground,
-    JudgedFit,
-    LockedErrors,
-    with_locked,
-)
+from slipmap.models.inference.diagnosis.locked import CLEARLY, Ground, JudgedFit, LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check, wrong_sizes
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,

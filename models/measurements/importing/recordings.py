@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.contact import contact_rows, middle_angle, normals_and_forces
-from slipmap.models.measurements.importing.clocks import (
-    Lag,
-    finger_lag,
-    force_lag,
-    usual_lag,
-)
+from slipmap.models.measurements.importing.clocks import Lag, finger_lag, force_lag, usual_lag
 from slipmap.models.measurements.importing.files import find_files, read_sources
 from slipmap.models.measurements.importing.force_bias import Bias, force_at_rest, unknown_biases, usual_bias
 from slipmap.models.measurements.importing.import_setup import (
@@ -426,11 +421,7 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
 
 
 def _one_clock(
-    name: str,
-    sources: Mapping[str, Source],
-    said: ImportSetup,
-    usual: Lag | None,
-    bias: FloatArray | None,
+    name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None, bias: FloatArray | None
 ) -> _Recording:
     """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
