@@ -35,7 +35,6 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
-from slipmap.models.inference.alone import alone
 from slipmap.models.inference.diagnosis.joint_answer import answer_about, joint_answer, objection_to
 from slipmap.models.inference.diagnosis.locked import CLEARLY, Ground, JudgedFit, LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check, wrong_sizes
@@ -52,7 +51,7 @@ from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
-from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
+from slipmap.models.inference.together import FirstGain, JointFit, Together, alone, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.push_dataset import check_datasets_given, check_distinct
 from slipmap.models.measurements.trial_checks import fault_of_frame
