@@ -451,33 +451,7 @@ def _one_clock(
     doubts += more
     if "tip_pose" in found and len(found["tip_pose"].lifted):
         trial = _far_where_lifted(trial, found["tip_pose"].lifted)
-    force_lags: list[Lag | None] = []
-    fingers: Lag | None = None
-    for channel in ("tip_pose", "ft_wrench"):
-        if channel not in sources:
-            continue
-        clock = said.channels[channel].clock
-        if _is_aligned(channel, sources, said):
-            near = epochs["object_pose"] and epochs[channel] and clock is None
-            if channel == "tip_pose":
-                lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
-            else:
-                force = trial.channels["ft_wrench"]
-                lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
-                beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
-                if fingers is not None and beside and (lag is None or not lag.by_touch):
-                    lag = fingers._replace(text="as for the finger in the same file")
-                force_lags.append(lag)
-                if usual is not None and _stands_alone(lag, usual):
-                    doubts.append(_outvoted(name, lag, usual))
-                    lag = usual
-            trial, text = _aligned(trial, channel, lag)
-            (steps if text.startswith(channel) else doubts).append(text)
-            if lag is not None and not lag.by_touch:
-                doubts.append(
-                    f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
-                    " picture, or give ft_wrench.clock, the seconds to add to its stamps"
-                )
+    trial, force_lags = _by_contact(trial, sources, said, usual, epochs, steps, doubts)
     biases: dict[str, Bias | None] = {}
     if trial.ft_wrench is not None and trial.finger_near(said.setup.reach):
         if said.channels["ft_wrench"].offset is None:
@@ -489,6 +463,52 @@ def _one_clock(
     parted, more = _parted(setup, trial, name)
     steps += more
     return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags, biases)
+
+
+def _by_contact(
+    trial: Trial,
+    sources: Mapping[str, Source],
+    said: ImportSetup,
+    usual: Lag | None,
+    epochs: Mapping[str, bool],
+    steps: list[str],
+    doubts: list[str],
+) -> tuple[Trial, list[Lag | None]]:
+    """The trial with finger and force on the object's clock, by contact where they need it, and the lag that
+    was found for the force, if one was looked for.
+
+    Args:
+        usual: lag of the force in the session as a whole.
+        epochs: whether the stamps of a channel count from 1970.
+        steps, doubts: to which remarks are added.
+    """
+    setup = said.setup
+    force_lags: list[Lag | None] = []
+    fingers: Lag | None = None
+    for channel in ("tip_pose", "ft_wrench"):
+        if channel not in sources or not _is_aligned(channel, sources, said):
+            continue
+        near = epochs["object_pose"] and epochs[channel] and said.channels[channel].clock is None
+        if channel == "tip_pose":
+            lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
+        else:
+            force = trial.channels["ft_wrench"]
+            lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
+            beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
+            if fingers is not None and beside and (lag is None or not lag.by_touch):
+                lag = fingers._replace(text="as for the finger in the same file")
+            force_lags.append(lag)
+            if usual is not None and _stands_alone(lag, usual):
+                doubts.append(_outvoted(trial.name, lag, usual))
+                lag = usual
+        trial, text = _aligned(trial, channel, lag)
+        (steps if text.startswith(channel) else doubts).append(text)
+        if lag is not None and not lag.by_touch:
+            doubts.append(
+                f"{trial.name}: no touch confirms the clock of {channel}; compare contact and force in the"
+                " picture, or give ft_wrench.clock, the seconds to add to its stamps"
+            )
+    return trial, force_lags
 
 
 def _parted(setup: Setup, trial: Trial, name: str) -> tuple[list[Trial], list[str]]:
