@@ -154,7 +154,7 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
 def replaced_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary name for a folder that the block makes; if it succeeds, replace the folder at `path`.
 
-    Inside `together` the folder appears with the files.
+    In `all_or_nothing` the folder appears with the files.
 
     Raises:
         OSError: the path cannot be written.
@@ -214,7 +214,7 @@ def _rename(part: Path, final: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Like `replaced_file`, for a path from the user; inside `together` the file appears with the others.
+    """Like `replaced_file`, for a path from the user; in `all_or_nothing` the file appears with the others.
 
     Raises:
         BadInput: the path cannot be written.
@@ -232,8 +232,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def together() -> Iterator[None]:
-    """Make what the block writes with `whole_file` and `replaced_folder` appear together, or nothing if it
+def all_or_nothing() -> Iterator[None]:
+    """Make all that the block writes with `whole_file` and `replaced_folder` appear at once, or nothing if it
     fails.
 
     Where two processes write files of the same names, all are of the one that ends last.

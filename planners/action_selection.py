@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import placed, radius_of_gyration, rotated, turn
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
+from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Rollouts, Slider
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
-from slipmap.planners.rehearsal import AFTERWARDS, RAMP
+from slipmap.planners.rehearsal import AFTERWARDS, RAMP, sampled_push
 from slipmap.planners.settings import NEGLIGIBLE, STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
@@ -83,7 +83,6 @@ def choose_push(
     on it, but its end depends on the outline more than on the maps.
 
     Args:
-        grid: the object.
         pose: (3,) of the object as the tracker reports it, world, m and rad; the push is made where the
             object is expected to be (`Belief.true_pose`).
         finger_radius: m.
@@ -97,7 +96,6 @@ def choose_push(
             the finger must stay in contact.
         table: its top; that of the belief if None. If neither is known, nothing is known to fall.
         allowed: whether the robot can make a push; called in order of preference until one is found.
-        rng: source of every draw.
 
     Raises:
         ValueError: an unknown strategy.
@@ -311,6 +309,4 @@ def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     h = min(LONGEST_STEP, LONGEST_STRIDE / push.speed)
     times = h * np.arange(np.ceil((pace.duration + AFTERWARDS) / h) + 1)
-    looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
-    tip = push.begin + np.outer(pace.at(times), push.direction)
-    return Push(h, tip, pose, pose_times=looks, force_times=times[1:] - h / 2, order=order)
+    return sampled_push(h, times, push.begin + np.outer(pace.at(times), push.direction), pose, order)

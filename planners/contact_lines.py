@@ -48,7 +48,6 @@ class ContactContour:
     """The contours of an object, for a finger.
 
     Args:
-        grid: the object.
         finger_radius: m.
         approach: length that must be clear before first touch, m.
     """
@@ -113,7 +112,6 @@ class ContactContour:
             first: (f,) arc lengths to put before all others, m.
             count: wanted number of lines.
             cone: largest angle from the inward normal, rad.
-            rng: source of every draw.
 
         Raises:
             NoReachablePush: the finger fits nowhere.
@@ -152,7 +150,6 @@ class ContactContour:
             shift: standard deviation along the contact's ring, m.
             tilt: standard deviation of the angle, rad.
             cone: largest angle from the inward normal, rad.
-            rng: source of every draw.
         """
         base = np.resize(chosen, count)
         ring = np.searchsorted(self._limits[1:-1], lines.places[base], side="right")

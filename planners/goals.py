@@ -58,11 +58,9 @@ class Graspable:
         """Find the grasps of an object.
 
         Args:
-            grid: cells and outline.
             heights: (n,) of the object's top over each cell, m.
             centers_of_mass: (K, 2) of the hypotheses, object frame, m.
             probability: (K,) of the hypotheses; those of probability 0 do not count.
-            settings: requirements on goals.
             masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` if None.
             gripper: the robot's own if None.
 
@@ -106,7 +104,6 @@ class Graspable:
 
         Args:
             poses: (P, 3) of the object in the world, m and rad.
-            table: the table.
 
         Returns:
             A goal or None for each pose.
@@ -149,8 +146,6 @@ class Graspable:
         `goals_at` decides which of them are goals.
 
         Args:
-            table: the table.
-            rng: of every draw.
             allowed: whether the robot can serve a goal; called best first, until there are enough.
 
         Returns:

@@ -207,7 +207,6 @@ class GraspLines:
 
         Args:
             poses: (P, 3) of the object in the world.
-            table: the table.
 
         Returns:
             value: (P, L) m, -inf where the line has no grasp.
@@ -272,13 +271,10 @@ def grasp_lines(
     """Grasps from 48 directions on lines 5 mm apart; `GraspLines` lists the checks.
 
     Args:
-        grid: cells and outline.
         heights: (n,) of the object's top over each cell, m.
         centers_of_mass: (K, 2) of the hypotheses, object frame, m.
         masses: (K,) of the whole object, kg.
         probability: (K,) of the hypotheses.
-        settings: see `GoalSettings`.
-        gripper: see `Gripper`.
 
     Returns:
         Lines on which some grasp passes the checks; perhaps none.
@@ -409,7 +405,6 @@ def first_on_table(
         direction: (L, 2) unit vectors of their direction, object frame.
         offset: (L,) of the strips' middle lines to the left of the object's origin, m.
         poses: (P, 3) of the object in the world, m and rad.
-        table: round or rectangular.
         half_width: of the strips, m.
 
     Returns:
@@ -436,7 +431,6 @@ def towards_table(
         offset: (L,) of the lines to the left of the object's origin, m.
         at: (L,) coordinate of the point along its line, m.
         poses: (P, 3) of the object in the world, m and rad.
-        table: round or rectangular.
 
     Returns:
         (P, L).

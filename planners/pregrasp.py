@@ -37,7 +37,6 @@ def planning_belief(
 
     Args:
         method: one of `METHODS`.
-        belief: the identified one.
         rng: source of the draw of `deterministic`.
         truth: the true maps, one hypothesis; only `true` uses them.
 
@@ -50,9 +49,7 @@ def planning_belief(
         k = int(rng.choice(len(belief), p=belief.probability / belief.probability.sum()))
         return _alone(belief, belief.maps[k : k + 1], method)
     if method == "uniform":
-        even = uniform_maps(belief)
-        effects = (belief.probability @ belief.maps.effects)[None]
-        return _alone(belief, Maps(even.mass, even.mu, even.mu_finger, effects), method)
+        return _alone(belief, uniform_maps(belief), method)
     if method == "true":
         if truth is None or len(truth) != 1:
             raise ValueError("method 'true' needs the true maps, exactly one hypothesis")
@@ -81,12 +78,7 @@ def learn_by_pushing(
     """Choose a push, make it and identify, as often as the settings say; the belief comes from all pushes.
 
     Args:
-        world: where pushes are made.
         grid: the object as seen.
-        make_dataset: see `MakeDataset`.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
 
     Raises:
         ObjectFell: the object is no longer on the table.
@@ -116,7 +108,7 @@ def explore(
     """Choose and make pushes one after another (Algorithm 2), and record them.
 
     Args:
-        world, grid, settings, rng, allowed: as for `learn_by_pushing`.
+        grid: the object as seen.
         learn: computes the belief from pushes; called before each push whose choice depends on it.
 
     Raises:
@@ -179,13 +171,9 @@ def bring_to_edge(
 
     Args:
         world: with the object on its table.
-        belief: the identified one.
         heights: (n,) of the object's top over the cells, m.
-        settings: of the procedure.
-        rng: source of every draw.
         method: one of `slipmap.planners.settings.METHODS`.
         truth: the true maps, for the method `true`.
-        allowed: whether the robot can make a push.
         goal_allowed: whether the robot can grasp at a goal.
 
     Raises:

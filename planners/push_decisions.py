@@ -113,10 +113,6 @@ def decide(
             true pose that the belief expects for it (`Belief.true_pose`).
         goals: acceptable goals, true poses.
         pursuit: history of pushing.
-        table: its top.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
         good: whether a pose (3,) within the tolerances is acceptable.
 
     Raises:
@@ -164,7 +160,7 @@ def next_push(
     """The next push towards a goal, and the `Way` that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
-        belief, goals, table, settings, rng, allowed: as for `decide`.
+        belief, goals: as for `decide`.
         pose: (3,) true pose of the object, world.
         way: followed so far; None at first.
         left_out: indices of goals that were given up.
@@ -334,9 +330,8 @@ def push_to_goal(
     given up after `settings.patience` pushes, and pushes that the robot refused are not requested again.
 
     Args:
-        world: where pushes are made.
         goals: at least one, best first.
-        belief, settings, rng, allowed, good: as for `decide`.
+        belief, good: as for `decide`.
 
     Raises:
         ValueError: there is no goal.

@@ -16,13 +16,21 @@ import scipy.linalg
 from slipmap.models.geometry import radius_of_gyration, rotated
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.error_model import ErrorModel, travelled
-from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
+from slipmap.models.inference.observations import (
+    LONGEST_STEP,
+    LONGEST_STRIDE,
+    SAMPLES,
+    Observation,
+    moving_speeds,
+)
+from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
 RAMP = 0.1  # time in which the finger speeds up, s
 AFTERWARDS = 0.4  # time observed after it has stopped, s
 _REST = 0.1  # s for which it waits before it starts
+_FASTER = 1.5  # factor by which a proposed push may be faster or slower than any recorded one
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +55,43 @@ class Predictions:
 
     poses: FloatArray  # (B, S, 3) as the tracker reports them
     forces: FloatArray  # (B, S, 2) of the finger on the object, means over equal intervals, world, N
+
+
+@dataclass(frozen=True)
+class Habits:
+    """Statistics of the recorded pushes, from which new ones are proposed."""
+
+    low: FloatArray  # (2,) lower corner of the object's positions, m
+    high: FloatArray  # (2,) upper corner
+    speeds: tuple[float, float, float]  # slow, medium and fast, m/s
+    lengths: tuple[float, float]  # shortest and longest push to propose, m
+    pose_rows: float  # number of tracker rows averaged in an observed pose
+    force_rows: float  # the same for a force; 0 if none was measured
+    pushes: int  # number of recorded pushes
+    ends_only: bool  # whether the object was seen only before and after them
+
+
+def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
+    """Region, speeds and lengths of recorded pushes."""
+    poses = np.concatenate([np.vstack([o.push.start_pose, o.poses]) for o in observations])[:, :2]
+    speeds, ways = [], []
+    for o in observations:
+        if len(moving := moving_speeds(o.push)):
+            speeds.append(float(np.median(moving)))
+        ways.append(float(np.hypot(*(o.poses[-1, :2] - o.push.start_pose[:2]))))
+    speeds = speeds or [0.05]
+    force_rows = np.concatenate([o.force_rows[o.sliding] for o in observations])
+    longest = max(max(ways), 0.5 * float(np.ptp(dataset.grid.exterior, axis=0).max()))
+    return Habits(
+        poses.min(axis=0),
+        poses.max(axis=0),
+        (min(speeds) / _FASTER, float(np.median(speeds)), max(speeds) * _FASTER),
+        (0.5 * longest, longest),
+        float(np.median(np.concatenate([o.pose_rows for o in observations]))),
+        float(np.median(force_rows)) if len(force_rows) else 0.0,
+        len(dataset.trials),
+        all(trial.ends_only for trial in dataset.trials),
+    )
 
 
 def straight_push(
@@ -84,6 +129,19 @@ def straight_push(
         t = np.clip(times - _REST - part * (moving + dwell), 0.0, moving)
         travelled_way += speed * np.where(t < ramp, t**2 / (2 * ramp), t - ramp / 2)
     tip = begin + np.outer(np.minimum(travelled_way / length, 1.0), end - begin)
+    return sampled_push(h, times, tip, pose, order)
+
+
+def sampled_push(h: float, times: FloatArray, tip: FloatArray, pose: FloatArray, order: float) -> Push:
+    """A push to simulate, with `SAMPLES` poses and the force of every step, as in a fit.
+
+    Args:
+        h: step, s.
+        times: (N + 1,) of the steps' ends, s.
+        tip: (N + 1, 2) finger centre at these times, world, m.
+        pose: (3,) of the object before the push, world.
+        order: place in the experiment.
+    """
     looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
     return Push(h, tip, pose, pose_times=looks, force_times=times[1:] - h / 2, order=order)
 
@@ -111,40 +169,32 @@ def separations(
     pushes: Sequence[Push],
     error: ErrorModel,
     grid: CellGrid,
-    pose_rows: float,
-    force_rows: float,
-    *,
-    ends_only: bool = False,
+    habits: Habits,
 ) -> FloatArray:
     """(pairs, B) distances between the predictions of each pair of models, in standard deviations.
 
     Args:
-        predictions: of each model.
         pushes: B pushes.
-        error: error model.
-        grid: the object.
-        pose_rows: number of tracker rows averaged in an observed pose.
-        force_rows: the same for a force; 0 if none is measured.
-        ends_only: whether the object is seen only before and after a push.
+        habits: how many rows are averaged, and whether the object is seen only before and after a push.
     """
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
     centroid, radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
     for b, push in enumerate(pushes):
-        first = -1 if ends_only else 0
+        first = -1 if habits.ends_only else 0
         poses = np.array([p.poses[b, first:] for p in predictions])
         forces = np.array([p.forces[b] for p in predictions])
         if not np.isfinite(poses).all():
             continue
         middle = np.mean(forces, axis=0)
-        counts = _steady(push, middle) if force_rows else np.zeros(SAMPLES, dtype=bool)
+        counts = _steady(push, middle) if habits.force_rows else np.zeros(SAMPLES, dtype=bool)
         assert push.pose_times is not None
         stretch = len(push.tip) - 1
         times = push.h * stretch * (np.arange(SAMPLES) + 0.5) / SAMPLES
         imagined = Observation(
             "", "fit", replace(push, pose_times=push.pose_times[first:], force_times=times),
-            np.mean(poses, axis=0), np.full(poses.shape[1], pose_rows), 1,
-            middle, np.full(SAMPLES, force_rows), counts,
+            np.mean(poses, axis=0), np.full(poses.shape[1], habits.pose_rows), 1,
+            middle, np.full(SAMPLES, habits.force_rows), counts,
         )  # fmt: skip
         lasting = error.pose_covariance(imagined, travelled(imagined, grid.centers), radius)
         places = poses[..., :2] + rotated(centroid, poses[..., 2])
@@ -162,7 +212,6 @@ def keeps_touch(push: Push, forces: FloatArray) -> bool:
     """Whether the finger stays in contact from first touch to its stop: models cannot say when it slides off.
 
     Args:
-        push: the simulated push.
         forces: (S, 2) predicted for it.
     """
     size = np.hypot(*forces.T)

@@ -152,9 +152,6 @@ def foresee(
     Args:
         scenarios: S of them; their model is put on the table.
         pose: of the object, world.
-        lines: of push.
-        table: that the object must not fall from.
-        settings: of pushes.
         onward: whether `Foresight.moves` are needed for looking ahead.
 
     Raises:
@@ -263,17 +260,11 @@ class Lookahead:
 
     Args:
         foresight: pushes simulated from one pose, of which `moves` is used.
-        metric: of gaps.
-        settings: of pushes.
         rng: draws the pairs.
     """
 
     def __init__(
-        self,
-        foresight: Foresight,
-        metric: PoseMetric,
-        settings: PushSettings,
-        rng: np.random.Generator,
+        self, foresight: Foresight, metric: PoseMetric, settings: PushSettings, rng: np.random.Generator
     ) -> None:
         self._metric = metric
         self._settings = settings
@@ -360,9 +351,6 @@ def plan_push(
         belief: hypotheses, one or many, or what `identify` returned.
         pose: (3,) of the object as the tracker reports it, world, m and rad.
         targets: (3,) or (G, 3) true poses, any of which is acceptable; the predicted poses are true ones too.
-        table: that it must not fall from.
-        settings: of pushes.
-        rng: source of every draw.
         allowed: whether the robot can make a push; called in order of preference until one is found. After a
             refusal, only clearly shorter pushes on the same line are tried.
         costs: (G,) added to the expected number of pushes to each target.

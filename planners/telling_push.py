@@ -33,7 +33,7 @@ from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.results import Diagnosis, parameter_estimates
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.identification import with_fewer_cells
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.observations import SAMPLES, Observation
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -41,7 +41,16 @@ from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
-from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
+from slipmap.planners.rehearsal import (
+    Habits,
+    Predictions,
+    Rival,
+    habits_of,
+    keeps_touch,
+    predict,
+    separations,
+    straight_push,
+)
 
 OF_FORCE = frozenset(effect.name for effect in LIBRARY if effect.belongs_to == "force sensor")
 """Effects that move nothing, so a robot that wants to move objects need not settle them."""
@@ -54,7 +63,6 @@ _CONTACTS = 60
 _HARDLY_SEEN = 5  # most effects to compare
 _LEADING = 2  # effects that a robot tells apart if the verdict is undecided
 _LEADS = 2.0  # nats that such an effect must gain
-_FASTER = 1.5  # factor by which a proposed push may be faster or slower than any recorded one
 _DWELL = 0.5  # s for which the finger stops half-way
 _TOLD = 1.0  # standard deviations of the error below which models are predicted alike
 _SHARES = (1.0, 0.5, -0.5)  # of the way to another place, tried in turn
@@ -99,8 +107,6 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     """The push that a person should make next.
 
     Args:
-        diagnosis: of the dataset.
-        dataset: that was diagnosed.
         seed: of the candidate pushes.
 
     Returns:
@@ -143,12 +149,12 @@ def _next_push(
         return None, question.words
     best, separation, told = found
     predictions = [predict(rival, [best.push(float(habits.pushes))]) for rival in told.rivals]
-    names = [rival.name for rival in told.rivals]
-    if diagnosis.verdict == "undecided":
-        names = names[1:]
+    named = told.rivals[1:] if diagnosis.verdict == "undecided" else told.rivals
+    names = [rival.name for rival in named]
     asked = best.to_json() | {"separates": names, "separation": separation}
     good_for = question.good_for
-    if alike := [rival.name for rival in rivals if rival.name not in [one.name for one in told.rivals]]:
+    separated = {rival.name for rival in told.rivals}
+    if alike := [rival.name for rival in rivals if rival.name not in separated]:
         *more, last = alike
         good_for += f", but not {', '.join(more)}{' or ' * bool(more)}{last}"
     return asked | {"sentence": _sentence(asked, dataset.grid, told.rivals, predictions, good_for)}, None
@@ -189,10 +195,7 @@ class Question:
     def apart(self, pushes: Sequence[Push]) -> FloatArray:
         """(pairs, B) the same for each of the pairs that count."""
         predicted = [predict(rival, pushes) for rival in self.rivals]
-        apart = separations(
-            predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows,
-            ends_only=self.habits.ends_only,
-        )  # fmt: skip
+        apart = separations(predicted, pushes, self.error, self.grid, self.habits)
         place = {pair: k for k, pair in enumerate(combinations(range(len(self.rivals)), 2))}
         apart = apart[[place[pair] for pair in self.pairs]]
         kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
@@ -211,10 +214,6 @@ def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | No
     With several effects left, these effects. With one, the models with and without it, because the robot must
     be sure that the effect is present. If the verdict is `undecided`, the `_LEADING` effects that gain most,
     in ordinary size, and the model without any; effects of the force sensor move nothing and do not count.
-
-    Args:
-        diagnosis: of the dataset.
-        dataset: that was diagnosed.
 
     Returns:
         None if there is nothing to tell apart: `adequate` and `unknown`.
@@ -250,45 +249,6 @@ def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
     )
 
 
-@dataclass(frozen=True)
-class Habits:
-    """Statistics of the recorded pushes, from which new ones are proposed."""
-
-    low: FloatArray  # (2,) lower corner of the object's positions, m
-    high: FloatArray  # (2,) upper corner
-    speeds: tuple[float, float, float]  # slow, medium and fast, m/s
-    lengths: tuple[float, float]  # shortest and longest push to propose, m
-    pose_rows: float  # number of tracker rows averaged in an observed pose
-    force_rows: float  # the same for a force; 0 if none was measured
-    pushes: int  # number of recorded pushes
-    ends_only: bool  # whether the object was seen only before and after them
-
-
-def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
-    """Region, speeds and lengths of recorded pushes."""
-    poses = np.concatenate([np.vstack([o.push.start_pose, o.poses]) for o in observations])[:, :2]
-    speeds, ways = [], []
-    for o in observations:
-        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
-        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
-        if len(moving):
-            speeds.append(float(np.median(moving)))
-        ways.append(float(np.hypot(*(o.poses[-1, :2] - o.push.start_pose[:2]))))
-    speeds = speeds or [0.05]
-    force_rows = np.concatenate([o.force_rows[o.sliding] for o in observations])
-    longest = max(max(ways), 0.5 * float(np.ptp(dataset.grid.exterior, axis=0).max()))
-    return Habits(
-        poses.min(axis=0),
-        poses.max(axis=0),
-        (min(speeds) / _FASTER, float(np.median(speeds)), max(speeds) * _FASTER),
-        (0.5 * longest, longest),
-        float(np.median(np.concatenate([o.pose_rows for o in observations]))),
-        float(np.median(force_rows)) if len(force_rows) else 0.0,
-        len(dataset.trials),
-        all(trial.ends_only for trial in dataset.trials),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Instruction:
     """A push that a person is asked to make, and where to put the object for it."""
@@ -319,14 +279,14 @@ class Instruction:
         """As plain numbers, the first part of what `next_push` returns."""
         way = self.end - self.begin
         return {
-            "pose": [float(value) for value in self.pose],
-            "contact": [float(value) for value in self.contact],
+            "pose": self.pose.tolist(),
+            "contact": self.contact.tolist(),
             "direction_deg": float(np.degrees(np.arctan2(way[1], way[0]))),
             "speed": float(self.speed),
             "length": float(self.length),
             "dwell": float(self.dwell),
-            "tip_start": [float(value) for value in self.begin],
-            "tip_end": [float(value) for value in self.end],
+            "tip_start": self.begin.tolist(),
+            "tip_end": self.end.tolist(),
         }
 
 
@@ -400,10 +360,7 @@ def _sharpened(diagnosis: Diagnosis) -> tuple[list[Rival], str]:
     and the name of that parameter."""
     best = diagnosis.best
     prior = best.likelihood.prior
-    equations = best.likelihood.linearise(
-        best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
-    )
-    covariance = np.linalg.inv(equations.hessian[0] + np.eye(prior.size))
+    covariance = np.linalg.inv(best.hessian + np.eye(prior.size))
     amplitudes = np.concatenate([effect.amplitudes for effect in best.effects])
     spread = np.diagonal(covariance)[prior.plain :]
     chosen = int(np.argmax(np.where(amplitudes, spread, -1.0)))
@@ -465,10 +422,8 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
     reference = predict(plain, recorded)
     seen = []
     for rival in rivals:
-        apart = separations(
-            [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid,
-            habits.pose_rows, habits.force_rows, ends_only=habits.ends_only,
-        )  # fmt: skip
+        predictions = [reference, predict(rival, recorded)]
+        apart = separations(predictions, recorded, base.likelihood.error, dataset.grid, habits)
         seen.append(float(np.linalg.norm(apart)))
     visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]
     return [plain, *(rivals[k] for k in visible[: min(max(2, len(visible) // 3), _HARDLY_SEEN)])]
@@ -478,7 +433,7 @@ def _as_imagined(observation: Observation) -> Push:
     """A recorded push, sampled like simulated ones."""
     push = observation.push
     steps = len(push.tip) - 1
-    looks = push.h * steps * np.arange(1, 31) / 30
+    looks = push.h * steps * np.arange(1, SAMPLES + 1) / SAMPLES
     middles = push.h * (np.arange(steps, dtype=float) + 0.5)
     return replace(push, pose_times=looks, force_times=middles, force_span=0.0)
 
@@ -573,9 +528,8 @@ def _changed(
         way = push.end - push.begin
         other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
         moved = [_moved(push, share * other) for share in _SHARES]
-        return _first_on_table(
-            moved, ["at another place, with everything else the same"] * len(moved), dataset
-        )
+        words = ["at another place, with everything else the same"] * len(moved)
+        return _first_on_table(moved, words, dataset)
     if "direction" in depends or "object" in depends:
         angles = (90, -90, 180) if "direction" in depends else (180, 90, -90)
         turned = [_turned(push, np.radians(angle)) for angle in angles]

@@ -26,11 +26,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 
 class PoseMetric:
-    """Root mean square distance between the cells of an object in two poses, m.
-
-    Args:
-        grid: the object's cells.
-    """
+    """Root mean square distance between the cells of an object in two poses, m."""
 
     def __init__(self, grid: CellGrid) -> None:
         self._centroid = np.append(grid.centers.mean(axis=0), 0.0)
@@ -83,7 +79,6 @@ def find_waypoints(
         belief: hypotheses about the centre of mass.
         start: (3,) world, m and rad.
         goal: (3,) world.
-        table: that the object must not fall from.
         rng: source of the seed.
         epsilon: largest probability of falling.
         margin: balance margin below which it counts as falling, m.

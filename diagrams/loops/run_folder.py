@@ -31,7 +31,7 @@ from slipmap.diagrams.loops.exploration_loop import (
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.model_monitor import Watch
-from slipmap.models.files import BadInput, together, whole_file, write_json, writing
+from slipmap.models.files import BadInput, all_or_nothing, whole_file, write_json, writing
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
 from slipmap.models.measurements.parsing import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
@@ -378,7 +378,7 @@ class ExplorationFolder(RunFolder):
         if recorded.repair is not None:
             self._run["repair"] = recorded.repair.to_run()
         with self.going_on(len(recorded.trials) - 1):
-            with together():
+            with all_or_nothing():
                 write_json(self._folder / RUN, self._run)  # first, since it identifies the others
                 for name, data in settings.items():
                     with whole_file(self._folder / name) as part:

@@ -4,7 +4,7 @@ All formulas become expressions of y and the constants (see `slipmap.models.phys
 subexpressions are factored out, and those that do not depend on the cell move out of the loop over cells.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import partial
 from typing import Any
 
@@ -39,7 +39,6 @@ class Slots:
     """The combined changes of several effects, as SymPy expressions.
 
     Args:
-        effects: the effects.
         slope: (2,) acceleration by which gravity pulls along the table for effects besides these, world.
 
     Attributes:
@@ -144,18 +143,7 @@ class Slots:
             (self.felt, own | {*push}),
             ([self.delay, self.force_delay], own),
         )
-        strangers = {
-            symbol
-            for formulas, symbols in known_by
-            for formula in formulas
-            for symbol in sp.sympify(formula).free_symbols - symbols
-        }
-        if strangers:
-            names = ", ".join(e.name for e in effects)
-            raise EffectError(
-                f"effects {names}: the formula uses symbols that are neither its parameters nor given to"
-                f" it: {', '.join(sorted(map(str, strangers)))}"
-            )
+        _refuse_strangers(effects, known_by)
 
     @property
     def cell(self) -> list[Any]:
@@ -175,6 +163,24 @@ def _parameters(effect: Effect) -> Names:
 
 def _memory(effect: Effect) -> dict[str, sp.Symbol]:
     return {name: real(memory_name(effect.name, name)) for name in effect.memory}
+
+
+def _refuse_strangers(
+    effects: Sequence[Effect], known_by: Sequence[tuple[Sequence[Any], Set[sp.Symbol]]]
+) -> None:
+    """Raise EffectError if formulas use other symbols than those that the function with them knows."""
+    strangers = {
+        symbol
+        for formulas, symbols in known_by
+        for formula in formulas
+        for symbol in sp.sympify(formula).free_symbols - symbols
+    }
+    if strangers:
+        names = ", ".join(e.name for e in effects)
+        raise EffectError(
+            f"effects {names}: the formula uses symbols that are neither its parameters nor given to"
+            f" it: {', '.join(sorted(map(str, strangers)))}"
+        )
 
 
 def _downhill(effects: Sequence[Effect], force: Sequence[sp.Symbol]) -> list[Any]:

@@ -147,12 +147,10 @@ class Belief:
         """A belief learned from pushes of a dataset, with its origin on record.
 
         Args:
-            dataset: the pushes.
             slider: the model, with its effects and its contact smoothing.
             maps: K hypotheses.
             probability: (K,) of the hypotheses.
             method: `gauss-newton` or `paper`.
-            seed: of every random draw.
             trials: names of the pushes that taught.
             settings: everything else that shaped the result.
         """
@@ -285,7 +283,6 @@ class Belief:
         """Read a belief file.
 
         Args:
-            path: of the file.
             known: effects that it may carry; the file holds their names and parameters, not their formulas.
 
         Raises:

@@ -41,10 +41,6 @@ def camera_lag(dataset: PushDataset, progress: Progress | None = None) -> Camera
 
     The lag shows where the object was seen while the finger pushed: its first motion, and any change of
     speed, ties the two clocks together. Pushes of all roles are used, since nothing is judged.
-
-    Args:
-        dataset: measured pushes.
-        progress: called with (stage, done, total).
     """
     trials = tuple(replace(trial, role="fit") for trial in dataset.trials if not trial.ends_only)
     if not trials:

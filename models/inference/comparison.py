@@ -23,11 +23,7 @@ from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.hypotheses import unexplained_share
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import (
-    Prediction,
-    check_same_object,
-    predict_observations,
-)
+from slipmap.models.inference.prediction import Prediction, check_same_object, predict_observations
 from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
 from slipmap.models.inference.residual_structure import (
     LEVEL,
@@ -217,10 +213,7 @@ def compare_with_effects(
     """Compare the models without and with some effects, learned from the same pushes, with all pushes.
 
     Args:
-        dataset: measured pushes.
         effects: to add to the model; those of the library may be given by name.
-        seed: of every random draw.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError, EffectError: as `identify`.
@@ -291,8 +284,6 @@ def compare_together(
         effects: to add to the model, shared as in `fit_together`; those of the library may be given by name.
             Without any, the model is what `identify` learns.
         apart: owners of effects that the datasets do not share, as in `fit_together`.
-        seed: of every random draw.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError, EffectError, RolloutError, ValueError: as `fit_together`; also two datasets that share

@@ -104,7 +104,6 @@ def end_errors(left_out: LeftOut, noise: SensorNoise) -> list[list[float]]:
 
     Args:
         left_out: fits without each fold.
-        noise: of the sensors.
 
     Returns:
         Standard deviations of x and y, and of ρ θ, where ρ is the cells' radius of gyration, as shares of

@@ -71,11 +71,7 @@ class EndRegion:
 
     @classmethod
     def of(
-        cls,
-        draws: FloatArray,
-        probability: FloatArray,
-        sigma: FloatArray,
-        model: FloatArray | float = 0.0,
+        cls, draws: FloatArray, probability: FloatArray, sigma: FloatArray, model: FloatArray | float = 0.0
     ) -> EndRegion:
         """The region that follows from hypotheses and further errors.
 

@@ -72,7 +72,6 @@ class ErrorModel:
         """Covariances (3, S, S) of x, y and ρ θ of one push, which are mutually independent.
 
         Args:
-            observation: the push.
             travel: (S,) distance travelled by the cells up to each pose, m, ascending.
             radius: ρ, by which angles are multiplied, m.
         """

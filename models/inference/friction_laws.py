@@ -25,11 +25,7 @@ PLAIN = "plain"
 TOGETHER = " + "
 """Separator between the effects in a law's name."""
 
-_EXPECTED = {
-    "push_height": (0.5, 0.15),
-    "mass_height": (0.5, 0.05),
-    "share": (1.0, 0.01),
-}
+_EXPECTED = {"push_height": (0.5, 0.15), "mass_height": (0.5, 0.05), "share": (1.0, 0.01)}
 """Prior mean and standard deviation of the laws' parameters; heights in units of the object's height.
 Friction leans as in Bullet, or not at all."""
 

@@ -63,7 +63,6 @@ def of_dataset(name: str, effects: Sequence[Effect] = ()) -> Iterator[None]:
 
     Args:
         name: of the dataset.
-        effects: of the model.
 
     Raises:
         DatasetError: a fit fails, as where an object moves far for a tiny change of its maps.

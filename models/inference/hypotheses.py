@@ -76,7 +76,6 @@ def fit_with_trust(
 
     Args:
         prior: coordinates of the maps.
-        observations: pushes to learn from.
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
         progress: called with (done, total); the search often stops before the last α.
@@ -194,7 +193,6 @@ def draws(ladder: Ladder, hypotheses: int, rng: np.random.Generator, *, keep_bes
     Args:
         ladder: of `fit_with_trust`.
         hypotheses: K.
-        rng: of the draws.
         keep_best: whether the first hypothesis is the plain best fit.
     """
     likelihood, _ = ladder[0]

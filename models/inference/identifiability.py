@@ -123,6 +123,43 @@ class _Seen:
             (poses[:, :2] + rotated(middle, poses[:, 2])).mean(axis=0),
         )
 
+    def of_friction(self, with_effects: bool) -> tuple[str, str]:
+        """Why the total friction is shown, and why it is left open."""
+        if self.forces:
+            return "force in steady sliding", "too few forces were measured in steady pushing"
+        inertia = f"friction against inertia{' or the effects' if with_effects else ''}"
+        missing = "no measured force is of steady pushing" if self.recorded else "no force was measured"
+        if self.contradicted:
+            missing = "the measured force contradicts the contact and was left out"
+            more = "correct its frame, or learn with the effect force_frame"
+        else:
+            more = (
+                "in slow motion along a given finger path, scaling all friction leaves every pose unchanged"
+            )
+        return "stopping distances" if self.coasted else inertia, f"{missing}: {more}"
+
+    @property
+    def slow(self) -> str:
+        """Why what inertia shows is left open."""
+        similar = "the object slid freely for too short a time, or too similarly each time"
+        return self.unless_missed(similar if self.coasted else _TOO_SLOW)
+
+    @property
+    def no_turn(self) -> str:
+        """Why the friction arm is left open."""
+        hardly = self.turned < np.radians(10.0)
+        return self.unless_missed(
+            "the object hardly turns in these pushes"
+            if hardly
+            else "all pushes turn the object too similarly"
+        )
+
+    @property
+    def no_contact(self) -> str:
+        """Why the friction at the finger is left open."""
+        sticking = "the contact sticks in all pushes, or slides the same way in all"
+        return sticking if self.touched else "no finger touches the object"
+
     def unless_missed(self, reason: str) -> str:
         """The reason why something is left open, or a large model error as the reason where there is one."""
         if self.missed < 0.04:
@@ -142,7 +179,6 @@ def quantities(
     """Value, 90 % interval and verdict for each quantity.
 
     Args:
-        belief: the hypotheses.
         informed: fits that they come from; the first decides what is shown, of shares all of them.
         contradicted: whether a measured force was left out because it contradicts the contact.
         bold: whether maps that vary strongly were compared with the others.
@@ -308,6 +344,7 @@ def coarse_cells(belief: Belief) -> str | None:
 
 
 def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
+    """What is told of an object, with the reason for either verdict; `weighed` if its mass is given."""
     centers = slider.grid.centers
     g = slider.gravity
 
@@ -335,45 +372,16 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         m, sx, sy, second = slider.inertia(maps.mass).T
         return second - (sx**2 + sy**2) / m
 
-    missing = "no measured force is of steady pushing" if seen.recorded else "no force was measured"
-    no_force = (
-        f"{missing}: in slow motion along a given finger path, scaling all friction leaves every pose"
-        " unchanged"
-    )
-    if seen.contradicted:
-        no_force = (
-            "the measured force contradicts the contact and was left out: correct its frame, or learn with"
-            " the effect force_frame"
-        )
-    if seen.coasted:
-        scale = "stopping distances"
-    else:
-        scale = f"friction against inertia{' or the effects' if slider.effects else ''}"
-    weak_force = "too few forces were measured in steady pushing"
-    slow = seen.unless_missed(
-        "the object slid freely for too short a time, or too similarly each time"
-        if seen.coasted
-        else _TOO_SLOW
-    )
-    hardly_turned = "the object hardly turns in these pushes"
-    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "all pushes turn the object too similarly"
-    no_axis = "no push turns the object in a way that shows this coordinate"
-    no_contact = (
-        "the contact sticks in all pushes, or slides the same way in all"
-        if seen.touched
-        else "no finger touches the object"
-    )
+    no_axis = seen.unless_missed("no push turns the object in a way that shows this coordinate")
+    slow = seen.slow
     measures = [
-        _Measure("total friction", "N", total, True,
-                 "force in steady sliding" if seen.forces else scale,
-                 weak_force if seen.forces else no_force),
+        _Measure("total friction", "N", total, True, *seen.of_friction(bool(slider.effects))),
         *(
-            _Measure(name, "m", _column(middle, i), False,
-                     "how the object turns when pushed", seen.unless_missed(no_axis))
+            _Measure(name, "m", _column(middle, i), False, "how the object turns when pushed", no_axis)
             for i, name in enumerate(_CENTRE)
         ),
         _Measure(_ARM, "m", partial(friction_arms, slider.grid),
-                 True, "how much the object turns", seen.unless_missed(no_turn)),
+                 True, "how much the object turns", seen.no_turn),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
                  "weighed beforehand" if weighed else "acceleration under a measured force", slow,
                  given=weighed, inertial=True),
@@ -385,7 +393,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
                  "rotation that speeds up or coasts", slow, inertial=True),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
-                 "the contact slides in some pushes", no_contact),
+                 "the contact slides in some pushes", seen.no_contact),
     ]  # fmt: skip
     for name, parts in thirds_of(slider.grid):
         measures.append(

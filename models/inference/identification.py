@@ -149,11 +149,9 @@ def learn(
     """Do the work of `identify` on prepared pushes, with the effects of an earlier fit as starting point.
 
     Args:
-        dataset: the dataset that the pushes belong to.
         observations: all its pushes; those with the role `fit` are fitted.
         found: the model with effects, as fitted before; None for the model without.
         hypotheses, seed, prior_settings, friction_laws: as in `identify`.
-        report: called with (stage, done, total).
         started: reading of `time.perf_counter` when the work began; now if None.
     """
     started = time.perf_counter() if started is None else started

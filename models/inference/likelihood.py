@@ -251,7 +251,7 @@ class PushLikelihood(ABC):
         """
         K = len(maps)
         if _agree(maps, offsets):
-            maps = Maps(maps.mass[:1], maps.mu[:1], maps.mu_finger[:1], maps.effects[:1])
+            maps = maps[:1]
         size = 8 * K * columns.shape[1] * self._rows
         for part in _cut(np.cumsum(size) // _JACOBIANS):
             own = self._order[part]
@@ -377,15 +377,10 @@ class Likelihood(PushLikelihood):
         prior: coordinates of the maps.
         observations: B pushes.
         noise: of the sensors, where declared.
-        settings: how far the data are trusted.
     """
 
     def __init__(
-        self,
-        prior: MapPrior,
-        observations: Sequence[Observation],
-        noise: Noise,
-        settings: LikelihoodSettings,
+        self, prior: MapPrior, observations: Sequence[Observation], noise: Noise, settings: LikelihoodSettings
     ) -> None:
         start = np.array([settings.start_position, settings.start_position, settings.start_angle])
         if noise.position is not None and noise.angle is not None:
@@ -462,19 +457,21 @@ class Likelihood(PushLikelihood):
             groups.append((error, alike.d_forces, sigma, share))
         jacobians, residuals, costs = [], [], np.zeros((K, G))
         for error, slopes, sigma, share in groups:
-            weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)
+            scaled = np.linalg.norm(error, axis=-1) / sigma
+            weight, cost = huber(scaled, scaled**2, settings.huber)
             root = np.sqrt(share * weight) / sigma
             jacobians.append((slopes * root[..., None, None]).reshape(K, G, -1, p))
             residuals.append((error * root[..., None]).reshape(K, G, -1))
             costs += (share * cost).sum(axis=-1)
         return np.concatenate(jacobians, axis=2), np.concatenate(residuals, axis=2), costs
 
-    def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Huber's weight and cost of residual norms in standard deviations."""
-        limit = self.settings.huber
-        beyond = scaled > limit
-        weight = np.where(beyond, limit / np.maximum(scaled, 1e-300), 1.0)
-        return weight, np.where(beyond, limit * (scaled - 0.5 * limit), 0.5 * scaled**2)
+
+def huber(norm: FloatArray, square: FloatArray, limit: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Huber's weights and costs (…) of residuals, from their norms (…) in standard deviations and the squares
+    of these; beyond the limit, residuals count linearly."""
+    beyond = norm > limit
+    weight = np.where(beyond, limit / np.maximum(norm, 1e-300), 1.0)
+    return weight, np.where(beyond, limit * (norm - 0.5 * limit), 0.5 * square)
 
 
 def slopes_at_centroid(slopes: FloatArray, arm: FloatArray, radius: float) -> FloatArray:

@@ -151,9 +151,7 @@ def explain(
 
     Args:
         dataset: the pushes, the object and its height.
-        observations: pushes to learn from.
         settings: the only prior of the maps; if None, all structures that the object may have are tried.
-        progress: called with (done, total).
         found: fit of the model with effects. All laws then include these effects, with priors centred on its
             values, so that nothing pulls them to their nulls where the likelihood says little.
         plain_only: whether to skip the other laws.
@@ -348,7 +346,6 @@ def mixed_belief(
         given: effects included in all laws.
         hypotheses: K.
         seed: of the draws.
-        report: called with (stage, done, total).
 
     Returns:
         Hypotheses that carry the parameters of the given effects, then those of every law's effects, which

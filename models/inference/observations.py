@@ -11,9 +11,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
+from slipmap.models.effects.effect import Scene
 from slipmap.models.geometry import rotated
 from slipmap.models.measurements import (
-    Channel,
     DatasetError,
     PushDataset,
     Trial,
@@ -21,9 +21,9 @@ from slipmap.models.measurements import (
     pose_times,
     wrench_samples,
 )
-from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.measurements.rim_checks import beside_table
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing
 
@@ -192,17 +192,39 @@ def observe_all(
     return [observe(trial, trial.order or 0, coarseness, reach=dataset.reach) for trial in chosen]
 
 
+def moving_speeds(push: Push) -> FloatArray:
+    """(k,) speeds of the finger, m/s, in the steps in which it moves; none without a finger."""
+    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
+    return speed[np.isfinite(speed) & (speed > 1e-3)]
+
+
+def scene_of(observations: Sequence[Observation], grids: Sequence[CellGrid], weight: float) -> Scene:
+    """The scene from which effects derive their starting values.
+
+    Args:
+        observations: pushes of one object or several.
+        grids: of these objects.
+        weight: of an object, N.
+    """
+    poses = np.concatenate([o.poses for o in observations])[:, :2]
+    center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
+    speeds = [float(moving.mean()) for o in observations if len(moving := moving_speeds(o.push))]
+    return Scene(
+        (float(center[0]), float(center[1])),
+        float(np.abs(poses - center).max()),
+        max(float(np.linalg.norm(grid.exterior, axis=1).max()) for grid in grids),
+        float(np.median(speeds)) if speeds else 0.05,
+        len(observations),
+        weight,
+    )
+
+
 def to_learn_from(pushes: Sequence[T]) -> list[T]:
     """The pushes that a model is fitted to: all, or `MOST_PUSHES` of them drawn at random, in their order."""
     if len(pushes) <= MOST_PUSHES:
         return list(pushes)
     drawn = np.random.default_rng(0).choice(len(pushes), MOST_PUSHES, replace=False)
     return [pushes[b] for b in np.sort(drawn)]
-
-
-def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
-    """Values (M, c) at ascending times (M,), linearly interpolated at the wanted times (N,): (N, c)."""
-    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
 
 
 def _smooth(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -269,7 +291,7 @@ def _without_long_rest(trial: Trial) -> Trial:
         return trial
     beside = max(0.5 * moving, min(0.5 * _LONG_REST * whole, _LEAST_REST))
     kept = (time >= time[first] - beside) & (time <= time[last] + beside)
-    return replace(trial, object_pose=Channel(time[kept], poses[kept]))
+    return replace(trial, object_pose=trial.object_pose.chosen(kept))
 
 
 def _averaged_rows(times: FloatArray, poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:

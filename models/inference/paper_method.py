@@ -39,10 +39,9 @@ import numpy as np
 
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import interpolated
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, finger_path, pose_times
-from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import cell_poses
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -234,11 +233,7 @@ def algorithm_1(
 
 
 def identify_by_algorithm_1(
-    dataset: PushDataset,
-    *,
-    hypotheses: int = 20,
-    seed: int = 0,
-    progress: Progress | None = None,
+    dataset: PushDataset, *, hypotheses: int = 20, seed: int = 0, progress: Progress | None = None
 ) -> Belief:
     """Algorithm 1 on the fit pushes of a dataset, with parameters that suit small and heavy objects alike.
 
@@ -251,7 +246,6 @@ def identify_by_algorithm_1(
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
         hypotheses: K.
         seed: recorded in the belief; the algorithm makes no random draws.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError: no fit push with three poses or more, or none that moves the object.

@@ -243,18 +243,13 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
 
 
 def predict_observations(
-    belief: Belief,
-    observations: Sequence[Observation],
-    noise: SensorNoise,
-    progress: Progress | None = None,
+    belief: Belief, observations: Sequence[Observation], noise: SensorNoise, progress: Progress | None = None
 ) -> tuple[Prediction, ...]:
     """Do the work of `predict` on prepared observations.
 
     Args:
-        belief: what was learned.
         observations: B pushes.
         noise: of the sensors that measured them.
-        progress: called with (stage, done, total).
     """
     grid, slider = belief.grid, belief.slider
     pushes = [observation.push for observation in observations]
@@ -302,7 +297,6 @@ def model_deviations(belief: Belief, start: FloatArray, ends: FloatArray) -> Flo
     equally likely ones.
 
     Args:
-        belief: what was learned.
         start: (3,) pose before the push.
         ends: (K, 3) where its hypotheses end.
     """

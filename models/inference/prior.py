@@ -224,12 +224,10 @@ class MapPrior(EffectCoordinates):
 
     Args:
         slider: the model that the maps belong to.
-        settings: strength of the prior.
         mass: total mass if it was weighed, kg.
         weight: approximate weight of the object, N, which sets the scale of effects that are forces.
         effect_prior: means and standard deviations (P,) of the effects' parameters, to replace their nulls
             and scales.
-        known: what is known about the maps.
     """
 
     def __init__(

@@ -11,7 +11,8 @@ from scipy.special import ellipe, stdtrit
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration, relative, seen_from
 from slipmap.models.inference.error_model import SensorNoise
-from slipmap.models.inference.observations import Observation, interpolated
+from slipmap.models.inference.observations import Observation
+from slipmap.models.measurements.motion import interpolated
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -39,11 +40,7 @@ class Errors:
 
 
 def errors(
-    observation: Observation,
-    poses: FloatArray,
-    forces: FloatArray | None,
-    grid: CellGrid,
-    noise: SensorNoise,
+    observation: Observation, poses: FloatArray, forces: FloatArray | None, grid: CellGrid, noise: SensorNoise
 ) -> Errors:
     """Compare predicted poses (S, 3) and forces (T, 2), or None for no forces, with one push."""
     measured = observation.poses

@@ -85,7 +85,6 @@ def resting_misfit(
         predicted: (K, 3) rest poses of the hypotheses.
         probability: (K,) of the hypotheses.
         error: noise of the poses, α, and β, the relative model error of a force.
-        grid: cells.
         forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to use the
             pose alone.
         taught: number of pushes that the hypotheses were learned from; 0 if their spread is exact.
@@ -98,9 +97,7 @@ def resting_misfit(
     middle = at_centroid(mean, grid) * scale
     r = at_centroid(observed, grid) * scale - middle
     spread = at_centroid(predicted, grid) * scale - middle
-    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-    # One row: the factors are standard deviations.
-    sigma = whitening_factors(observation_of(push, mean[None]), error, grid)[:, 0, 0]
+    sigma = _rest_deviations(start, mean, error, grid)
     if forces is not None:
         measured, every = forces
         expected = probability @ every
@@ -118,6 +115,13 @@ def resting_misfit(
     return float(np.sqrt(square / n)), float(p)
 
 
+def _rest_deviations(start: FloatArray, rest: FloatArray, error: ErrorModel, grid: CellGrid) -> FloatArray:
+    """(3,) standard deviations of x, y and ρ θ at rest, m, of an object that moves from a pose to another."""
+    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
+    # One row: the factors are standard deviations.
+    return whitening_factors(observation_of(push, rest[None]), error, grid)[:, 0, 0]
+
+
 def resting_region(
     observation: Observation, predicted: FloatArray, belief: Belief, error: ErrorModel, tracker: SensorNoise
 ) -> EndRegion:
@@ -127,7 +131,6 @@ def resting_region(
     poses, with α for the model error.
 
     Args:
-        observation: the push.
         predicted: (K, 3) rest poses of the belief's hypotheses.
         belief: what predicted them.
         error: noise of the rest pose, and α.
@@ -138,9 +141,8 @@ def resting_region(
         off = model_deviations(belief, start, predicted)
         drawn = drawn_ends(belief, [observation], tracker)[:, 0]
         return EndRegion.of(drawn, belief.probability, error.noise.of_poses, off)
-    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-    seen = observation_of(push, (belief.probability @ predicted)[None])
-    sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]
+    sigma = _rest_deviations(start, belief.probability @ predicted, error, belief.grid)
+    sigma /= [1, 1, radius_of_gyration(belief.grid)]
     return EndRegion.of(predicted, belief.probability, sigma)
 
 

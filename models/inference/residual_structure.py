@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import rotated
-from slipmap.models.inference.observations import Observation, interpolated
+from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Motion
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Phase, Residuals, centroid_tracks
 from slipmap.models.inference.sign_flips import (
@@ -38,6 +38,7 @@ from slipmap.models.inference.sign_flips import (
     random_signs,
     sign_flip_test,
 )
+from slipmap.models.measurements.motion import interpolated
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 Columns = dict[str, FloatArray]
@@ -302,7 +303,6 @@ def described(
     """Pattern of the strongest coordinate: its slope, with the sandwich interval over pushes.
 
     Args:
-        test: result for the scores.
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features, so that the slope is the ratio of both sums over pushes.
         names: (d,) of the coordinates; factor, title and quantity are as in `Pattern`.
@@ -360,10 +360,7 @@ class _Track:
 
 
 def correlations(
-    observations: Sequence[Observation],
-    motions: Sequence[Motion],
-    grid: CellGrid,
-    rng: np.random.Generator,
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, rng: np.random.Generator
 ) -> Correlations | None:
     """Correlations over all pushes that were measured along the way; None where there are too few."""
     found = [_track(o, motion, grid) for o, motion in zip(observations, motions, strict=True)]
@@ -386,10 +383,7 @@ def correlations(
 
 
 def delay_pattern(
-    observations: Sequence[Observation],
-    motions: Sequence[Motion],
-    grid: CellGrid,
-    rng: np.random.Generator,
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, rng: np.random.Generator
 ) -> Pattern | None:
     """Delay of measured poses: minus the slope of the residual over the predicted velocity."""
     scores, powers = [], []

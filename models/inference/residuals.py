@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration, seen_from
-from slipmap.models.inference.observations import SAMPLES, Observation, interpolated
+from slipmap.models.inference.observations import SAMPLES, Observation
 from slipmap.models.inference.prediction import Motion
+from slipmap.models.measurements.motion import interpolated
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 
@@ -97,11 +98,9 @@ def conditions(
 
     Args:
         push: its index.
-        observation: the push.
         poses: (S, 3) predicted poses at the observation's pose times.
         begin: (N,) s after the first pose.
         end: (N,) s after the first pose, later than `begin`.
-        grid: cells and outline.
         finger_radius: m.
     """
     assert observation.push.pose_times is not None

@@ -199,7 +199,6 @@ def holds_null(effect: Effect, told: Mapping[str, Mapping[str, Any]]) -> bool:
     """Whether the 90 % interval of each of an effect's amplitudes contains its null (no effect).
 
     Args:
-        effect: the effect.
         told: `low` and `high` of its parameters by name, as in `Identification.effect_estimates`.
     """
     amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]

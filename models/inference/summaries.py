@@ -34,7 +34,6 @@ def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> 
     Args:
         poses: (K, …, 3) of the object frame, m and rad; angles to be averaged do not wrap.
         probability: (K,) sums to one.
-        grid: cells of the object.
 
     Returns:
         (…, 3) poses.
@@ -56,12 +55,7 @@ def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> 
 
 
 def interval(
-    values: FloatArray,
-    probability: FloatArray,
-    *,
-    level: float = 0.9,
-    log: bool = False,
-    more: float = 0.0,
+    values: FloatArray, probability: FloatArray, *, level: float = 0.9, log: bool = False, more: float = 0.0
 ) -> tuple[float, float, float]:
     """Weighted median and central interval of draws.
 

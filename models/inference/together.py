@@ -12,6 +12,7 @@ outweigh all others. Effects are looked for with the α of the model without the
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -22,18 +23,9 @@ from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference import friction_laws
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.hypotheses import fit_with_trust
-from slipmap.models.inference.likelihood import (
-    Likelihood,
-    LikelihoodSettings,
-    NormalEquations,
-)
-from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prior import (
-    EffectCoordinates,
-    MapPrior,
-    slider_for,
-    structures_of,
-)
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings, NormalEquations
+from slipmap.models.inference.observations import Observation, scene_of
+from slipmap.models.inference.prior import EffectCoordinates, MapPrior, slider_for, structures_of
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress, part_of
@@ -52,12 +44,18 @@ _TOLD = 0.5
 _BLIND = 1e3
 """Standard deviation, in scales, of a parameter that a dataset does not determine."""
 
+_OPEN, _HELD = 1e2, 1e-3
+"""What one dataset says alone: standard deviations, in scales, of amplitudes, left to the pushes, and of held
+parameters."""
+
+_ITERATIONS, _TOLERANCE = 15, 1e-4
+"""The same: most iterations, and the share of the cost below which a step ends them, hundredths of a nat."""
+
 
 def is_shared(effect: Effect, apart: Collection[str]) -> bool:
     """Whether several datasets share an effect's parameters.
 
     Args:
-        effect: the effect.
         apart: owners of effects (`Effect.belongs_to`) that the datasets do not share.
     """
     return effect.belongs_to != "object" and effect.belongs_to not in apart
@@ -204,12 +202,7 @@ class JointPrior(EffectCoordinates):
 
 
 class JointLikelihood:
-    """Costs of the pushes of several datasets, like `PushLikelihood` for one.
-
-    Args:
-        prior: joint coordinates.
-        parts: likelihood of each dataset.
-    """
+    """Costs of the pushes of several datasets, like `PushLikelihood` for one."""
 
     def __init__(self, prior: JointPrior, parts: Sequence[Likelihood]) -> None:
         self.prior = prior
@@ -251,7 +244,6 @@ class Together:
     """The model of several datasets.
 
     Args:
-        taught: the datasets.
         apart: owners of effects that they do not share.
         weight: scale of effects that are forces, one for all datasets, N; the objects' mean weight if None.
     """
@@ -272,18 +264,7 @@ class Together:
     def scene(self) -> Scene:
         """The scene from which effects derive their starting values."""
         observations = [o for one in self.taught for o in one.observations]
-        poses = np.concatenate([o.poses for o in observations])[:, :2]
-        center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
-        speeds = [np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h for o in observations]
-        moving = [float(v[v > 1e-3].mean()) for v in speeds if (v > 1e-3).any()]
-        return Scene(
-            (float(center[0]), float(center[1])),
-            float(np.abs(poses - center).max()),
-            max(float(np.linalg.norm(one.dataset.grid.exterior, axis=1).max()) for one in self.taught),
-            float(np.median(moving)) if moving else 0.05,
-            len(observations),
-            self.weight,
-        )
+        return scene_of(observations, [one.dataset.grid for one in self.taught], self.weight)
 
     def first_gains(
         self,
@@ -303,8 +284,6 @@ class Together:
         so these are widened first.
 
         Args:
-            effects: to try.
-            progress: called with the numbers of parts done and of all parts.
             draws: random sign patterns for the p-values; without any there are none.
             rng: of the signs.
             beside: a model `around` which the datasets are taken, whose effects stay in the model and are
@@ -521,6 +500,36 @@ class JointFit:
         joint = self.likelihood.prior
         own = joint.places[k][joint.places[k] >= joint.plain] - joint.plain
         return joint.effect_deviations(self.found.hessian[0])[own[: self._count]]
+
+
+def alone(found: JointFit, k: int) -> tuple[FloatArray, FloatArray]:
+    """Parameters (P,) of the effects from dataset k alone, without a prior of theirs, and their standard
+    deviations.
+
+    The dataset's maps are refitted too. The joint model bends the maps of an object whose dataset disagrees
+    with the others, and to first order around such maps the parameters may come out far off, with the wrong
+    sign. Parameters that only shape an effect are held, with deviations of 0.
+
+    Raises:
+        RolloutError: the derivatives overflow.
+    """
+    likelihood, place = copy(found.likelihood.parts[k]), found.likelihood.prior.places[k]
+    prior = likelihood.prior = copy(likelihood.prior)
+    values = found.values(k)
+    P = len(values)
+    amplitudes = prior.amplitudes[:P]
+    prior.effect_centers, prior.effect_scales = prior.effect_centers.copy(), prior.effect_scales.copy()
+    prior.effect_centers[:P] = values
+    prior.effect_scales[:P] *= np.where(amplitudes, _OPEN, _HELD)
+    own = slice(prior.plain, prior.plain + P)
+    start, mean = found.found.z[:, place].copy(), found.mean[None, place].copy()
+    start[:, own] = mean[:, own] = 0.0
+    offsets = found.found.offsets[:, found.likelihood.pushes[k]]
+    best = fit(
+        likelihood, start, prior_mean=mean, offsets=offsets, iterations=_ITERATIONS, tolerance=_TOLERANCE
+    )
+    deviations = prior.effect_deviations(best.hessian[0])[:P]
+    return prior.effect_values(best.z)[0, :P], np.where(amplitudes, deviations, 0.0)
 
 
 def _agreed(said: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

@@ -89,7 +89,7 @@ def without_force_spikes(trials: Sequence[Trial]) -> tuple[list[Trial], list[str
             spikes = size > _SPIKE * np.maximum(np.maximum(before, after), usual)
             spikes[spikes] = [not _strikes(trial.object_pose, t) for t in time[spikes]]
             if spikes.any():
-                trial = replace(trial, ft_wrench=Channel(time[~spikes], values[~spikes]))
+                trial = replace(trial, ft_wrench=trial.ft_wrench.chosen(~spikes))
                 largest = parsing.rounded(float(size[spikes].max()), 3)
                 at = ", ".join(f"{t:.3f}" for t in time[spikes])
                 warnings.append(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
 from slipmap.models.measurements.lasting_noise import NONE_LASTS, PoseNoise, noise_of_poses
-from slipmap.models.measurements.motion import pose_scatter
+from slipmap.models.measurements.motion import pose_scatter, spread_rows
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.physics.cell_grid import FloatArray
@@ -115,7 +115,7 @@ def _contact_rows(setup: Setup, trial: Trial, usual: PoseNoise) -> ContactRows:
         if len(time) < len(pose.time) / 4:
             time = pose.time
         time = np.concatenate([[begin], time[time > begin]])
-        time = time[np.unique(np.linspace(0, len(time) - 1, _MOST_ROWS).astype(int))]
+        time = time[spread_rows(len(time), _MOST_ROWS)]
         after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
         step = pose.time[after] - pose.time[after - 1]
         kink = _LARGEST_KINK + 3.0 * noise.of_changes(1)[0]
@@ -206,7 +206,7 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Caus
 
     If the finger is deep in only one push, only causes without a fitted size count; others fit anything.
     """
-    places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
+    places = spread_rows(len(pushes), _MOST_TRIALS)
     all_rows = [pushes[place] for place in places]
     thinned = [_thinned(rows) for rows in all_rows]
     thinned = [rows for rows in thinned if len(rows.time)]
@@ -242,7 +242,7 @@ def _thinned(rows: ContactRows) -> ContactRows:
     """Informative rows: contact, or motion with the finger near."""
     telling = np.flatnonzero((rows.gap < 0.0) | (rows.pressed & (rows.gap < 2.0 * _LARGEST_GAP)))
     if len(telling) > _ROWS_EACH:
-        telling = telling[np.unique(np.linspace(0, len(telling) - 1, _ROWS_EACH).astype(int))]
+        telling = telling[spread_rows(len(telling), _ROWS_EACH)]
     return rows.chosen(telling)
 
 

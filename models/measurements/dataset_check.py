@@ -35,9 +35,9 @@ from slipmap.models.measurements.importing.clocks import (
 from slipmap.models.measurements.importing.force_bias import bias_matters, free_force
 from slipmap.models.measurements.motion import rounding_steps, row_noise
 from slipmap.models.measurements.push_dataset import PushDataset
-from slipmap.models.measurements.reading import IMPORTED
+from slipmap.models.measurements.reading import was_imported
 from slipmap.models.measurements.rim_checks import beyond_table
-from slipmap.models.measurements.trial import Trial
+from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.measurements.trial_checks import (
     impossible,
     jittering,
@@ -57,6 +57,7 @@ from slipmap.models.measurements.what_pushes_show import (
     pushes_to_add,
     quantities_shown,
 )
+from slipmap.models.physics.cell_grid import FloatArray
 
 Verdict = Literal["good", "note", "wrong"]
 
@@ -264,11 +265,8 @@ def _rows_left_out(dataset: PushDataset) -> list[Finding]:
         ("stamps", ("go back", "have the stamp of the row before", "are far from those")),
     ):
         named = [text for text in texts if any(word in text for word in words)]
-        found.append(
-            Finding(what, named[0] if len(named) == 1 else f"{named[0]}; {len(named) - 1} more", "note")
-            if named
-            else Finding(what, "none", "good")
-        )
+        more = f"; {len(named) - 1} more" if len(named) > 1 else ""
+        found.append(Finding(what, named[0] + more, "note") if named else Finding(what, "none", "good"))
     return found
 
 
@@ -321,11 +319,9 @@ def _noises(dataset: PushDataset) -> list[Finding]:
     motion = np.median(every_second or np.zeros((1, 3)), axis=0) > _MOST_MOTION * scatter
     scatter = np.where(motion, 0.0, scatter)
     free = [
-        float(np.max(found[1])) * np.sqrt(max(found[2] / 10.0, 1.0))
-        for one in dataset.trials
-        if one.ft_wrench is not None and one.finger_near(dataset.reach) and not one.ends_only
-        and (found := free_force(dataset, one.object_pose, one.tip_pose, one.ft_wrench)) is not None
-    ]  # fmt: skip
+        float(np.max(error)) * np.sqrt(max(count / 10.0, 1.0))
+        for _, (_, error, count) in _free_forces(dataset)
+    ]
     # Contact chatters; and with wrong frames, contact may seem free.
     wrenches = [one.ft_wrench for one in dataset.trials if one.ft_wrench is not None]
     rough = [row_noise(wrench.time, wrench.values[:, :2]).max() for wrench in wrenches]
@@ -358,20 +354,30 @@ def _noises(dataset: PushDataset) -> list[Finding]:
     return findings
 
 
+def _tracked(dataset: PushDataset) -> list[Trial]:
+    """Pushes whose object was seen on the way, with a finger near it."""
+    return [one for one in dataset.trials if not one.ends_only and one.finger_near(dataset.reach)]
+
+
 def _clock_of_finger(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     """Clock of the finger relative to the object, from contact; empty if it does not show."""
-    lags = []
-    speed = []
-    pushes = 0
-    for trial in dataset.trials:
-        if trial.ends_only or not trial.finger_near(dataset.reach):
-            continue
-        pushes += 1
-        lag = lag_left(dataset, trial.object_pose, trial.tip_pose)
-        if lag is not None:
-            lags.append(lag)
-            speed.append(fast_speed(trial))
-    return [_lag_of_finger(dataset, rows, lags, float(np.median(speed)), pushes)] if lags else []
+    pushes = _tracked(dataset)
+    found = [(one, lag_left(dataset, one.object_pose, one.tip_pose)) for one in pushes]
+    shown = [(trial, lag) for trial, lag in found if lag is not None]
+    if not shown:
+        return []
+    speed = float(np.median([fast_speed(trial) for trial, _ in shown]))
+    return [_lag_of_finger(dataset, rows, [lag for _, lag in shown], speed, len(pushes))]
+
+
+def _free_forces(dataset: PushDataset) -> list[tuple[Channel, tuple[FloatArray, FloatArray, int]]]:
+    """The force of each push that shows what its sensor reads without contact, and that (`free_force`)."""
+    return [
+        (one.ft_wrench, free)
+        for one in _tracked(dataset)
+        if one.ft_wrench is not None
+        and (free := free_force(dataset, one.object_pose, one.tip_pose, one.ft_wrench)) is not None
+    ]
 
 
 def _clock_of_force(dataset: PushDataset, findings: Sequence[Finding]) -> list[Finding]:
@@ -381,8 +387,8 @@ def _clock_of_force(dataset: PushDataset, findings: Sequence[Finding]) -> list[F
     no other finding doubts these. If the gap left while pushing would explain it too, both are told.
     """
     rises: list[Rise] = []
-    for trial in dataset.trials:
-        if trial.ft_wrench is not None and trial.finger_near(dataset.reach) and not trial.ends_only:
+    for trial in _tracked(dataset):
+        if trial.ft_wrench is not None:
             rises += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
     if not rises:
         return []
@@ -466,11 +472,10 @@ def _lag_of_finger(
 
 def _shifted(dataset: PushDataset, *shifts: tuple[str, float]) -> str:
     """Advice to correct a clock by one of these shifts (channel, s), with the key to change."""
-    if not (edited := _files_to_edit(dataset)):
-        keys = [f"{shift:.3f} s to `clock` of {channel}" for channel, shift in shifts]
-        return f"{_SHIFT}{', or '.join(keys)}, {_by_import(dataset)}"
-    keys = [f"{shift:.3f} s to t of each row of {channel}" for channel, shift in shifts]
-    return f"{_SHIFT}{', or '.join(keys)}, {edited}"
+    edited = _files_to_edit(dataset)
+    key = "t of each row" if edited else "`clock`"
+    keys = [f"{shift:.3f} s to {key} of {channel}" for channel, shift in shifts]
+    return f"{_SHIFT}{', or '.join(keys)}, {edited or _by_import(dataset)}"
 
 
 def _files_to_edit(dataset: PushDataset) -> str:
@@ -480,20 +485,16 @@ def _files_to_edit(dataset: PushDataset) -> str:
     and HDF5 is not text.
     """
     names = [PurePosixPath(trial.name) for trial in dataset.trials]
-    if _imported(dataset) or any(name.suffix.lower() != ".json" for name in names):
+    if was_imported(dataset.provenance) or any(name.suffix.lower() != ".json" for name in names):
         return ""
     return f"in every push ({parsing.listed(sorted({str(name.with_name('*.json')) for name in names}))})"
 
 
 def _by_import(dataset: PushDataset) -> str:
     """How a key of a setup.yaml comes into effect, for pushes that are not to be edited."""
-    if _imported(dataset):
+    if was_imported(dataset.provenance):
         return "in the setup.yaml, and import again"
     return "in a setup.yaml, and read the files with slipmap import"
-
-
-def _imported(dataset: PushDataset) -> bool:
-    return any(text.startswith(IMPORTED) for text in dataset.provenance)
 
 
 def _late(lag: float) -> str:
@@ -534,8 +535,8 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
     deep = depth > [one.allowed for one in rows]
     text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
+    middle = float(np.median(air)) if air else 0.0
     if air:
-        middle = float(np.median(air))
         text += f", {1e3 * abs(middle):.1f} mm of {'depth' if middle < -5e-5 else 'air'} while pushing"
     if deep.any():
         said = (text for text in dataset.warnings if not _mended(text) and _subject(text) == "contact")
@@ -545,35 +546,29 @@ def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         )
         text += f"; too deep in {deep.sum()} of {len(rows)} pushes"
         return [Finding("contact", text, "wrong" if deep.mean() > _WRONG_SHARE else "note", advice)]
-    if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
-        near = float(np.median(air)) < _NEAR
+    if middle > 2.0 * CALIBRATION_ERROR:
+        near = middle < _NEAR
         advice = "is finger.radius, or the outline, too small?" if near else "is a frame or a clock wrong?"
         return [Finding("contact", text, "note", advice)]
     return [Finding("contact", text, "good")]
 
 
 def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
-    reach = dataset.reach
-    forced = [one for one in dataset.trials if one.ft_wrench is not None and one.finger_near(reach)]
+    forced = [one for one in dataset.trials if one.ft_wrench is not None and one.finger_near(dataset.reach)]
     if not forced:
         return []
     findings = []
-    rest = [
-        (free, trial)
-        for trial in forced
-        if not trial.ends_only and trial.ft_wrench is not None
-        and (free := free_force(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)) is not None
-    ]  # fmt: skip
+    rest = _free_forces(dataset)
     pushing = pushing_force(dataset, forced) or 0.0
     if (strong := too_strong(dataset, forced)) is not None:
         findings.append(Finding("force and size", strong[0], "wrong", strong[1]))
     if (odd := odd_for_weight(dataset, forced)) is not None:
         findings.append(Finding("force and mass", odd.found, "wrong" if odd.far else "note", odd.advice))
     if rest:
-        bias = np.median([free[0] for free, _ in rest], axis=0)
-        error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))
+        bias = np.median([value for _, (value, _, _) in rest], axis=0)
+        error = np.median([error for _, (_, error, _) in rest], axis=0) / np.sqrt(len(rest))
         size = float(np.hypot(*bias))
-        matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
+        matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][0])
         text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, compared with {pushing:.2g} N while pushing"
         gone = [
             text.partition("ft_wrench: ")[2]

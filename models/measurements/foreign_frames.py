@@ -20,6 +20,7 @@ import numpy as np
 
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements.contact import CALIBRATION_ERROR, ContactRows
+from slipmap.models.measurements.motion import spread_rows
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.cell_grid import FloatArray
@@ -154,14 +155,14 @@ def _apart(setup: Setup, pushes: Sequence[ContactRows]) -> list[ContactRows]:
     moving = [_moving(rows) for rows in pushes if rows.pressed.any()]
     if len(moving) < _FEWEST_PUSHES:
         return []
-    moving = [moving[k] for k in np.unique(np.linspace(0, len(moving) - 1, _MOST_PUSHES).astype(int))]
+    moving = [moving[k] for k in spread_rows(len(moving), _MOST_PUSHES)]
     touching = _touching(setup, moving, [rows.poses for rows in moving])
     return [] if touching >= _HALF * len(moving) else moving
 
 
 def _moving(rows: ContactRows) -> ContactRows:
     pressed = np.flatnonzero(rows.pressed)
-    return rows.chosen(pressed[np.unique(np.linspace(0, len(pressed) - 1, _ROWS_EACH).astype(int))])
+    return rows.chosen(pressed[spread_rows(len(pressed), _ROWS_EACH)])
 
 
 def _touching(setup: Setup, pushes: Sequence[ContactRows], poses: Sequence[FloatArray]) -> int:

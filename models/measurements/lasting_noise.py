@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slipmap.models.measurements.motion import rounding_noise, white_noise
+from slipmap.models.measurements.motion import interpolated, rounding_noise, white_noise
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Trial, finger_path, pose_times
 from slipmap.models.physics.cell_grid import FloatArray
@@ -155,7 +155,7 @@ def rests_of(setup: Setup, trial: Trial) -> list[FloatArray]:
     poses = trial.object_pose.values
     times = pose_times(trial)
     path_times, path = finger_path(trial)
-    tips = np.column_stack([np.interp(times, path_times, column) for column in path.T])
+    tips = interpolated(times, path_times, path)
     few = min(5, len(poses))
     first, last = np.median(poses[:few], axis=0), np.median(poses[-few:], axis=0)
     near = np.flatnonzero(gaps(setup, tips, first) < _CLEAR)

@@ -74,17 +74,10 @@ def _hdf5(content: bytes, where: str) -> dict[str, FloatArray]:
     import h5py
 
     tables: dict[str, FloatArray] = {}
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            for key in CHANNELS:
-                if isinstance(file.get(key, getlink=True), h5py.HardLink):
-                    tables[key] = _hdf5_table(file[key], f"{where}, {key}")
-    except DatasetError:
-        raise
-    except (OSError, RuntimeError, ValueError, TypeError, LookupError, OverflowError, MemoryError) as error:
-        raise DatasetError(
-            f"{where}: not readable as HDF5 ({parsing.shown_error(error)}); was the file cut short?"
-        ) from None
+    with parsing.reading(where, "HDF5"), h5py.File(io.BytesIO(content), "r") as file:
+        for key in CHANNELS:
+            if isinstance(file.get(key, getlink=True), h5py.HardLink):
+                tables[key] = _hdf5_table(file[key], f"{where}, {key}")
     return tables
 
 

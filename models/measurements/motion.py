@@ -9,6 +9,7 @@ smoothing (without jitter 0.3 mm).
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
@@ -41,6 +42,19 @@ _UNEVEN_STAMPS = 0.7  # interquartile range of the spacings over their median
 _SMOOTHER = 2.0  # times; over the rows of 45 recorded and simulated datasets, no other finger reaches both
 _HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
 _HUBER_ITERATIONS = 8
+
+
+def spread_rows(count: int, most: int) -> NDArray[np.int_]:
+    """At most `most` of so many rows, by index: spread evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
+def interpolated(
+    wanted: float | Sequence[float] | np.ndarray, times: np.ndarray, values: FloatArray
+) -> FloatArray:
+    """(…, c) values at wanted times (…), linear between ascending times (M,) with values (M, c), constant
+    beyond."""
+    return np.stack([np.interp(wanted, times, column) for column in values.T], axis=-1)
 
 
 def smooth_track(
@@ -79,7 +93,7 @@ def smooth_track(
         return time, track, track[None]
     step = float(np.median(np.diff(time)))
     grid = np.linspace(time[0], time[-1], round((time[-1] - time[0]) / step) + 1)
-    raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
+    raw = interpolated(grid, time, track)
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
     more = np.random.default_rng(0).standard_normal((pairs, *raw.shape))

@@ -9,8 +9,10 @@ import json
 import math
 import re
 import reprlib
+import zlib
 from collections import Counter
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path, PurePath
@@ -27,6 +29,11 @@ _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz a
 _LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 _DEEPEST_YAML = 50
 _MOST_FAULTS = 40  # in one message
+BROKEN = (
+    OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, AttributeError, ArithmeticError,
+    zlib.error,
+)  # fmt: skip
+"""Errors that libraries raise on unexpected files."""
 NUMBER = r"-?\d+(\.\d+)?(e[-+]\d+)?"
 """Pattern of a number in a message."""
 _LONGEST_NAME = 250  # characters up to which a path is given in full
@@ -46,6 +53,18 @@ def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
         where = str(path)
         whole = where.isprintable() and len(where) < _LONGEST_NAME
         raise DatasetError(f"{where if whole else shown(where)}: {error}") from None
+
+
+@contextmanager
+def reading(where: str, kind: str, errors: tuple[type[Exception], ...] = BROKEN) -> Iterator[None]:
+    """Report errors of a library that reads a kind of file as DatasetError."""
+    try:
+        yield
+    except DatasetError:
+        raise
+    except errors as error:
+        shown = shown_error(error)
+        raise DatasetError(f"{where}: not readable as {kind} ({shown}); was the file cut short?") from None
 
 
 def parse_json(content: bytes, where: str) -> Any:

@@ -14,11 +14,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from slipmap.models.geometry import seen_from
-from slipmap.models.measurements.trial import (
-    DatasetError,
-    Trial,
-    in_order,
-)
+from slipmap.models.measurements.trial import DatasetError, Trial, in_order
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import (
     THICKEST_FINGER,
@@ -381,7 +377,6 @@ def dataset_of(
 
     Args:
         trials: one or more.
-        grid: the object.
         finger_radius: m.
         mass: of the object, if it was weighed, kg.
         gravity: m/s².

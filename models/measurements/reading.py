@@ -3,7 +3,7 @@ push, or files of pushes without a description."""
 
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -239,6 +239,11 @@ def _read(
         raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
 
 
+def was_imported(provenance: Iterable[str]) -> bool:
+    """Whether a dataset with this provenance was imported from a laboratory's own files."""
+    return any(text.startswith(IMPORTED) for text in provenance)
+
+
 def check_format(document: dict[str, Any], where: str) -> None:
     """Refuse a description whose `format` is missing or different.
 
@@ -278,7 +283,7 @@ def _assembled(
             pushes, doubts = read(name, role, content, str(folder / name))
             if assign is not None:
                 pushes, cuts = cut_at_carries(setup, pushes, str(folder / name))
-                doubts = doubts + cuts
+                doubts = [*doubts, *(cut.text for cut in cuts)]
         except DatasetError as error:
             faults.append(str(error))
             continue
@@ -295,10 +300,7 @@ def _assembled(
     trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
     warnings += _gathered(found) + doubts
     return PushDataset(
-        **vars(setup),
-        trials=tuple(trials),
-        fingerprint=fingerprint.hexdigest(),
-        warnings=tuple(warnings),
+        **vars(setup), trials=tuple(trials), fingerprint=fingerprint.hexdigest(), warnings=tuple(warnings)
     )
 
 
@@ -342,7 +344,7 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
         setup, fingerprint, warnings, description, folder, entries,
         _one(partial(_read_record, orders)), progress,
         keep=lambda trial: forced.get(trial.name, True if keep_all else None),
-        imported=any(text.startswith(IMPORTED) for text in provenance),
+        imported=was_imported(provenance),
     )  # fmt: skip
     return replace(dataset, provenance=provenance)
 

@@ -37,6 +37,17 @@ class Carry(NamedTuple):
     time: float  # s
 
 
+CARRIED = "the object is carried while the finger is away"
+SILENT = "nothing was recorded for a while"
+
+
+class Cut(NamedTuple):
+    """A recording that was cut."""
+
+    text: str  # where and why, for the user
+    reasons: tuple[str, ...]  # `CARRIED`, `SILENT` or both
+
+
 def carries(setup: Setup, trial: Trial) -> list[Carry]:
     """Motions that begin at rest with the finger over 20 mm away, if others begin at the finger."""
     if not trial.finger_near(setup.reach):
@@ -125,7 +136,7 @@ def _more_times(found: Sequence[Carry]) -> str:
     return f" and {more} more time{'s' if more > 1 else ''}" if more else ""
 
 
-def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
+def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[Cut]]:
     """Cut each trial where the object is carried or nothing was recorded, into pushes named file#1 and so on.
 
     Raises:
@@ -133,7 +144,7 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
     """
     reach = setup.reach
     result: list[Trial] = []
-    warnings = []
+    cuts: list[Cut] = []
     for trial in trials:
         carried, silent = carries(setup, trial), silences(setup, trial)
         silent = [one for one in silent if not any(_overlap(one, other) for other in carried)]
@@ -151,12 +162,11 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         text = ", and ".join(texts)
         if not pushes:
             raise DatasetError(f"{where}: {text}; cut the recording into its pushes")
-        warnings.append(
-            f"{where}: {text}; the recording was cut there into {len(pushes)}"
-            f" push{'es' if len(pushes) > 1 else ''}"
-        )
-        result += [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
-    return result, warnings
+        text = f"{text}; the recording was cut there into {len(pushes)} push{'es' * (len(pushes) > 1)}"
+        reasons = ((CARRIED, carried), (SILENT, silent))
+        cuts.append(Cut(f"{where}: {text}", tuple(reason for reason, found in reasons if found)))
+        result += _numbered(trial, pushes)
+    return result, cuts
 
 
 def cut_at_rests(setup: Setup, trial: Trial, longest: float = np.inf) -> list[Trial]:
@@ -191,9 +201,12 @@ def cut_at_rests(setup: Setup, trial: Trial, longest: float = np.inf) -> list[Tr
         )
         if piece is not None:
             found.append(piece)
-    if len(found) < 2:
-        return found or [trial]
-    return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
+    return _numbered(trial, found) if len(found) > 1 else found or [trial]
+
+
+def _numbered(trial: Trial, pushes: Sequence[Trial]) -> list[Trial]:
+    """The pushes of a recording, named name#1 and so on."""
+    return [replace(push, name=f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
 
 
 def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | None:
@@ -209,7 +222,7 @@ def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | No
 
 def _part(channel: Channel, begin: float, end: float) -> Channel | None:
     inside = (channel.time >= begin) & (channel.time <= end)
-    return Channel(channel.time[inside], channel.values[inside]) if inside.any() else None
+    return channel.chosen(inside) if inside.any() else None
 
 
 def _displacement(one: FloatArray, other: FloatArray, reach: float) -> FloatArray:

@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slipmap.models.measurements.motion import initial_twist
+from slipmap.models.measurements.motion import initial_twist, interpolated
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_kind
 
@@ -83,7 +84,11 @@ class Channel:
     def at(self, t: float | Sequence[float] | FloatArray) -> FloatArray:
         """Values (..., c) at times `t` of any shape (...), linear between rows and constant beyond the
         ends."""
-        return np.stack([np.interp(t, self.time, column) for column in self.values.T], axis=-1)
+        return interpolated(t, self.time, self.values)
+
+    def chosen(self, rows: NDArray[np.bool_]) -> Channel:
+        """Some of the rows (T,)."""
+        return Channel(self.time[rows], self.values[rows])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Check trials against geometry, units and each other: unusable ones are refused, odd ones reported."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.foreign_frames import exchanged, frame_change
-from slipmap.models.measurements.motion import stamp_jitter
+from slipmap.models.measurements.motion import spread_rows, stamp_jitter
 from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
@@ -290,12 +290,12 @@ def _judged(
     warnings = []
     frame_wrong = False
     if faults and (len(faults) > few or (fit and fit <= set(faults))):
-        for trial in trials:
-            # If the finger also goes into the object, the frames are wrong, and it may not be away.
-            if trial.name in faults and not stays(trial) and not deep:
-                raise DatasetError(
-                    f"{where}: {trial.name}: {faults[trial.name]}; cut the recording into its pushes"
-                )
+        refused = [trial.name for trial in trials if trial.name in faults and not stays(trial)]
+        # If the finger also goes into the object, the frames are wrong, and it may not be away.
+        if refused and not deep:
+            raise DatasetError(
+                f"{where}: {refused[0]}: {faults[refused[0]]}; cut the recording into its pushes"
+            )
         first, *others = faults
         more = f" (and {len(others)} more pushes)" if others else ""
         warnings.append(
@@ -339,15 +339,21 @@ def _judged(
                 " finger.radius and the outline"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
-    for end, names in (
-        (f"left out; {_FORCED}", [name for name in faults if name in odd]),
-        ("kept as requested", [name for name in faults if name not in odd]),
-    ):
-        kinds: dict[str, list[str]] = {}
-        for name in names:
-            kinds.setdefault(faults[name], []).append(name)
-        warnings += [f"{parsing.listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
+    warnings += _by_fault(
+        {name: fault for name, fault in faults.items() if name in odd}, f"left out; {_FORCED}"
+    )
+    warnings += _by_fault(
+        {name: fault for name, fault in faults.items() if name not in odd}, "kept as requested"
+    )
     return odd, warnings, frame_wrong
+
+
+def _by_fault(faults: Mapping[str, str], end: str) -> list[str]:
+    """A warning for each fault, with the names of the trials that have it."""
+    kinds: dict[str, list[str]] = {}
+    for name, fault in faults.items():
+        kinds.setdefault(fault, []).append(name)
+    return [f"{parsing.listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
 
 
 def _no_pushes(setup: Setup, trials: Sequence[Trial], pushes: Sequence[ContactRows]) -> dict[str, str]:
@@ -570,7 +576,7 @@ def _clearance(setup: Setup, trial: Trial) -> float:
             for pose in trial.object_pose.values
         ]
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius
-    chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, _MOST_ROWS).astype(int))
+    chosen = spread_rows(len(trial.tip_pose.time), _MOST_ROWS)
     tips = trial.tip_pose.values[chosen]
     return float(np.min(gaps(setup, tips, trial.object_pose.at(trial.tip_pose.time[chosen]))))
 

@@ -57,7 +57,7 @@ def trial_from_tables(
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
     pose, rows = _channel(tables, "object_pose", where)
     placed, _, _ = sound_rows(pose.time, pose.values[:, :2])  # -9999 for an angle is none
-    warnings = _degrees(Channel(pose.time[placed], pose.values[placed]), where)
+    warnings = _degrees(pose.chosen(placed), where)
     if not warnings:  # of angles in degrees, an apparent half turn may be half a degree
         pose, warnings = _sound(pose, rows, f"{where}, object_pose")
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
@@ -102,7 +102,7 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
     ]
     if stays:
         warnings.append(f"{where}: {stays}; did it really move, or did the tracker's frame jump?")
-    return Channel(channel.time[kept], channel.values[kept]), warnings
+    return channel.chosen(kept), warnings
 
 
 def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:

@@ -13,7 +13,7 @@ import yaml
 from slipmap.models.files import part_of, remove_part, replaced_file, replaced_folder
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import PushDataset
-from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, IMPORTED, check_format
+from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format, was_imported
 from slipmap.models.measurements.setup_description import setup_document
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import CellGrid
@@ -90,7 +90,7 @@ def is_imported(folder: Path) -> bool:
     """Whether the dataset in a folder says that it was imported, so that importing again restores it."""
     where = folder / DESCRIPTION_FILE
     told = read_yaml(where, str(where))[1].get("provenance")
-    return isinstance(told, list) and any(str(one).startswith(IMPORTED) for one in told)
+    return isinstance(told, list) and was_imported(map(str, told))
 
 
 def _write_files(dataset: PushDataset, folder: Path) -> None:

@@ -109,7 +109,6 @@ def contour_cells(
     unless no cell owns more.
 
     Args:
-        grid: the object.
         room: radius of a disc, m; openings that hold one have contact cells too. If None, none has.
 
     Returns:

@@ -111,11 +111,7 @@ def first_look(
 
 
 def _seen_object(
-    seen_W: Footprint,
-    cloud: tuple[FloatArray, FloatArray],
-    table: TablePlane,
-    view: View,
-    cells: int,
+    seen_W: Footprint, cloud: tuple[FloatArray, FloatArray], table: TablePlane, view: View, cells: int
 ) -> SeenObject:
     """The object of a footprint, with points (k, 2) on its top and their heights (k,), m."""
     origin = np.asarray(seen_W.polygon.centroid.coords[0])

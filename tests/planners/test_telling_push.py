@@ -25,6 +25,7 @@ from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners import telling_push
 from slipmap.planners.action_selection import choose_push
 from slipmap.planners.exploration import NoReachablePush, candidate_pushes
+from slipmap.planners.rehearsal import habits_of
 from slipmap.planners.telling_push import next_push, push_of, rivals_of, robots_question
 
 RADIUS, MASS, MU = 0.006, 0.6, 0.3
@@ -244,7 +245,7 @@ def test_what_only_the_way_shows_is_not_told_by_pushes_seen_at_their_ends(world:
         for trial in world.dataset.trials
         for time, poses in [(trial.object_pose.time, trial.object_pose.values)]
     ]
-    habits = telling_push.habits_of(world.observations, replace(world.dataset, trials=tuple(ends)))
+    habits = habits_of(world.observations, replace(world.dataset, trials=tuple(ends)))
     assert habits.ends_only and not question.habits.ends_only
     assert question.told_by(pushes)[0] > 10.0
     assert replace(question, habits=habits).told_by(pushes)[0] < 0.01

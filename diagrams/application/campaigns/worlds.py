@@ -15,9 +15,8 @@ from slipmap.diagrams.loops.exploration_loop import SENSORS
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import interpolated
 from slipmap.models.measurements import PushDataset, Trial, finger_path
-from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects.benchmark_objects import benchmark_object

@@ -12,7 +12,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
-from slipmap.models.files import BadInput, together, write_json, write_text
+from slipmap.models.files import BadInput, all_or_nothing, write_json, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
@@ -58,7 +58,7 @@ def predict(
         pushes = prediction.predict(belief, measured, progress)
         from slipmap.diagrams.application.figures import push_figures
 
-        with together():
+        with all_or_nothing():
             with progress.step("drawing"):
                 drawn = write_figures(output, push_figures(pushes, measured))
             write_json(json_file, _prediction_document(belief, measured.name, pushes))
@@ -157,7 +157,7 @@ def compare(
             text = comparison_report(results, measured, options.datasets_typed())
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
-    with together():
+    with all_or_nothing():
         write_text(wanted.output, text)
         write_json(wanted.json_file, both)
     show(results, options.datasets_typed())
@@ -177,7 +177,7 @@ def _compare_together(datasets: Sequence[Path], effects: Sequence[Effect], wante
 
         with progress.step("drawing"):
             text = joint_comparison_report(result, measured)
-    with together():
+    with all_or_nothing():
         write_text(wanted.output, text)
         write_json(wanted.json_file, result.to_json())
     from slipmap.diagrams.application.reports.comparison_words import joint_findings
@@ -281,7 +281,7 @@ def diagnose(
             measured, effects=effects, draws=draws, quick=quick, seed=wanted.seed, progress=progress
         )
         reported = not quick or options.asked_for("output")
-        with together():
+        with all_or_nothing():
             if reported:
                 from slipmap.diagrams.application.reports.diagnosis_report import diagnosis_report
 
@@ -310,7 +310,7 @@ def _diagnose_together(
         )
         from slipmap.diagrams.application.reports.diagnosis_report import joint_report
 
-        with together():
+        with all_or_nothing():
             with progress.step("drawing"):
                 write_text(wanted.output, joint_report(result, measured, effects, where))
             write_json(wanted.json_file, result.to_json(where))

@@ -13,7 +13,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder, check_output, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, status, table
-from slipmap.models.files import BadInput, together, write_json, write_text, writing
+from slipmap.models.files import BadInput, all_or_nothing, write_json, write_text, writing
 
 if TYPE_CHECKING:
     from slipmap.models.measurements import PushDataset
@@ -56,7 +56,7 @@ def check(
         )
         with progress.step("checking"):
             found = check_dataset(measured)
-        with together():
+        with all_or_nothing():
             if output is not None:
                 write_text(output, _page(found, measured))
             write_json(json_file, found.to_json())
@@ -214,7 +214,7 @@ def import_files(
             dataset = replace(dataset, name=output.absolute().name)
         from slipmap.diagrams.application.figures import measured_figure
 
-        with together():
+        with all_or_nothing():
             write_figures(picture, [measured_figure(dataset)])
             with writing(output):
                 write_dataset(dataset, output, overwrite=True)

@@ -11,7 +11,7 @@ from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
 from slipmap.diagrams.application.outputs import check_folder, lock_folder, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
-from slipmap.models.files import BadInput, together, write_json, writing
+from slipmap.models.files import BadInput, all_or_nothing, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification
@@ -55,7 +55,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         dataset = options.load_dataset(place, None, progress)
         result = identification.identify(dataset, seed=seed, progress=progress)
         comparison = _against_truth(result, truth)
-        with together():
+        with all_or_nothing():
             drawn = keep(result, dataset, belief, None, progress, truth)
             write_json(json_file, {**result.to_json(), "truth": comparison})
     show(result, dataset, options.typed(place))

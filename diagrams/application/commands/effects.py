@@ -11,7 +11,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import note, paragraph, prepare_kernels, table, wrapped
-from slipmap.models.files import BadInput, together, write_json
+from slipmap.models.files import BadInput, all_or_nothing, write_json
 
 if TYPE_CHECKING:
     from slipmap.models.effects import Effect, Parameter
@@ -51,7 +51,7 @@ def effects(
 
     (effect,) = effects_named([name], known)
     text = written(effect)
-    with together():
+    with all_or_nothing():
         if picture is not None:
             prepare_kernels()
             from slipmap.diagrams.application.figures import effect_figure

@@ -14,7 +14,7 @@ import click
 from slipmap.diagrams.application.commands import cell_run, options
 from slipmap.diagrams.application.outputs import lock_folder, make_folder
 from slipmap.diagrams.application.terminal import note, paragraph, table
-from slipmap.models.files import BadInput, together, write_json
+from slipmap.models.files import BadInput, all_or_nothing, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def explore(
             if error.run is None:
                 raise _ended(error, record, stopped) from error
             run, failure = error.run, f"{error}."
-        with record.going_on(len(run.dataset.trials)), together():
+        with record.going_on(len(run.dataset.trials)), all_or_nothing():
             written = cell_run.leave(
                 run.identification, run.dataset, cell.folder, progress, seed=wanted.seed, told=_told(run)
             )
@@ -244,7 +244,7 @@ def pregrasp(
             run = pregrasp_loop.pregrasp(
                 scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
             )
-            with together():
+            with all_or_nothing():
                 explored = run.exploration
                 written = cell_run.leave(
                     explored.identification, explored.dataset, cell.folder, progress,

@@ -16,7 +16,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_output, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
-from slipmap.models.files import BadInput, together, whole_file, write_json
+from slipmap.models.files import BadInput, all_or_nothing, whole_file, write_json
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
@@ -109,7 +109,7 @@ def _learned(
             measured = _first_pushes(measured, fit_pushes)
         wanted.prepare()
         result = learn(measured, hypotheses=wanted.hypotheses, seed=wanted.seed, progress=progress)
-        with together():
+        with all_or_nothing():
             drawn = keep(result, measured, wanted.output, wanted.pictures, progress)
             write_json(wanted.json_file, result.to_json())
     show(result, measured, options.datasets_typed())
@@ -192,7 +192,7 @@ def _fit_together(
             measured, effects, apart=apart, hypotheses=wanted.hypotheses, seed=wanted.seed, progress=progress
         )
         drawn = []
-        with together():
+        with all_or_nothing():
             for learned, dataset, belief in zip(result.learned, measured, beliefs, strict=True):
                 drawn.append(keep(learned, dataset, belief, wanted.pictures, progress))
             names = [str(belief) for belief in beliefs]

@@ -16,7 +16,7 @@ import click
 from slipmap.diagrams.application.commands import cell_run, options
 from slipmap.diagrams.application.outputs import check_folder, check_output, lock_folder, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
-from slipmap.models.files import BadInput, together, write_json, writing
+from slipmap.models.files import BadInput, all_or_nothing, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.diagrams.hardware.message_stream import EventLog
@@ -124,7 +124,7 @@ def replay(
         from slipmap.models.inference.identification import identify
 
         identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
-    with together():
+    with all_or_nothing():
         with Progress() as progress:
             written = cell_run.leave(identification, dataset, folder, progress, seed=seed)
         show(identification, dataset, options.typed(folder / "pushes"))

@@ -27,7 +27,7 @@ from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
 from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
-from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
+from slipmap.models.files import PART, BadInput, all_or_nothing, remove_part, write_json, write_text
 
 if TYPE_CHECKING:
     from slipmap.diagrams.application.campaigns.experiments import Summary
@@ -194,7 +194,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
         result = calibrated(objects=objects, seed=seed, progress=progress)
     rows = coverage_rows(result)
     numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
-    with together():
+    with all_or_nothing():
         if output is not None:
             from slipmap.diagrams.application.figures import calibration_figure
 
@@ -279,7 +279,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
         duration = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
         note(f"{done} of {len(waiting)}, {duration} left: {case.name}, {outcome}")
     score = _score(cases)
-    with together():
+    with all_or_nothing():
         write_json(output / "score.json", score.to_json())
         write_text(output / "score.md", score.markdown())
     click.echo(score.text(), nl=False)
@@ -473,7 +473,7 @@ def campaign(
         "trials": len(outcomes),
         "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
     }
-    with together():
+    with all_or_nothing():
         write_figures(picture, summary.figures())
         write_json(folder / f"{experiment}-{truth}.json", document)
         write_json(json_file, document)
@@ -552,7 +552,7 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
         from slipmap.diagrams.application.reports.audit_words import audit_report, show_audits
 
         document = {"engines": audits, "beside_mm": {k: 1e3 * v for k, v in beside.items()}}
-        with progress.step("drawing"), together():
+        with progress.step("drawing"), all_or_nothing():
             write_text(output, audit_report(audits, beside))
             write_json(json_file, document)
     show_audits(audits, beside)

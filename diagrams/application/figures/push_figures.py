@@ -19,6 +19,7 @@ from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.prediction import Prediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.contact import CALIBRATION_ERROR
+from slipmap.models.measurements.motion import spread_rows
 from slipmap.models.measurements.push_dataset import check_dataset_given, gaps
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.settings import check_several
@@ -290,7 +291,7 @@ def measured_figure(dataset: PushDataset) -> Figure:
         >>> len(slipmap.figures.measured_figure(dataset).axes)
         3
     """
-    places = np.unique(np.linspace(0, len(dataset.trials) - 1, _MOST_DRAWN).astype(int))
+    places = spread_rows(len(dataset.trials), _MOST_DRAWN)
     trials = [dataset.trials[place] for place in places]
     figure = Figure(figsize=(9.6, 4.6))
     forces = any(trial.ft_wrench is not None for trial in trials)

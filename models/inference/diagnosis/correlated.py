@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
-from slipmap.models.inference.likelihood import Alike, DrawnErrors, PushLikelihood, overflowing
+from slipmap.models.inference.likelihood import Alike, DrawnErrors, PushLikelihood, huber, overflowing
 from slipmap.models.inference.observations import AVERAGED, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -59,7 +59,6 @@ class FitData:
 
     Args:
         observations: B pushes.
-        grid: of the object.
 
     Attributes:
         observations: the same.
@@ -183,22 +182,14 @@ class CorrelatedLikelihood(PushLikelihood):
         J = whitener(pose_slopes, alike.d_forces)
         r = whitener(pose[..., None], force[..., None])[..., 0]
         rows = 3 * pose.shape[2] + 2 * np.array([len(one.force) for one in own])
-        weight, cost = _robust((r**2).sum(axis=-1), rows)
+        square = (r**2).sum(axis=-1)
+        weight, cost = huber(np.sqrt(square), square, _OUTLIER * np.sqrt(rows))
         root = np.sqrt(weight)[..., None]
         return J * root[..., None], r * root, cost
 
 
 _OUTLIER = 2.5
 """Pushes whose whitened residuals exceed this root mean square count linearly (Huber)."""
-
-
-def _robust(square: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Huber's weights and costs (K, G) of pushes from the squared norms (K, G) of their whitened residuals,
-    `rows` (G,) in number."""
-    norm, limit = np.sqrt(square), _OUTLIER * np.sqrt(rows)
-    beyond = norm > limit
-    weight = np.where(beyond, limit / np.maximum(norm, 1e-300), 1.0)
-    return weight, np.where(beyond, limit * (norm - 0.5 * limit), 0.5 * square)
 
 
 # The predictive score.
@@ -211,7 +202,6 @@ def whitened_rows(
     """Whitened Jacobians (R_b, d) and residuals (R_b,) of each push, with its unknown start as noise.
 
     Args:
-        likelihood: that whitens.
         rows: of each push, at its start offset.
         offsets: (B, 3) these offsets. As noise, a start has mean zero, so they are taken out of the residuals
             to first order.

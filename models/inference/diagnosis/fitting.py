@@ -21,7 +21,7 @@ from slipmap.models.inference.diagnosis.correlated import (
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise
 from slipmap.models.inference.gauss_newton import fit, of_dataset
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.observations import Observation, scene_of
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -44,12 +44,15 @@ class Fitted:
     cost: float  # cost of the fit
 
     @property
+    def hessian(self) -> FloatArray:
+        """(d, d) of the data's cost, without the prior."""
+        weights = np.ones((1, len(self.offsets)))
+        return self.likelihood.linearise(self.z[None], self.offsets[None], np.ones(1), weights).hessian[0]
+
+    @property
     def standard_deviations(self) -> FloatArray:
         """(P,) standard deviations of the parameters, marginal over everything else."""
-        equations = self.likelihood.linearise(
-            self.z[None], self.offsets[None], np.ones(1), np.ones((1, len(self.offsets)))
-        )
-        return self.likelihood.prior.effect_deviations(equations.hessian[0])
+        return self.likelihood.prior.effect_deviations(self.hessian)
 
     @property
     def scales(self) -> FloatArray:
@@ -158,8 +161,6 @@ class Fitter:
         """Fit the model with some effects.
 
         Args:
-            effects: effects in the model.
-            error: error model.
             near: fit to start from; None to start only afresh.
             values: (P,) parameters to start from.
             afresh: start a second time from where the forgiving likelihood leads: without the effect, the
@@ -202,31 +203,11 @@ class Fitter:
 
     def scene(self, base: Fitted) -> Scene:
         """The scene from which effects derive their starting values, given a fit without effects."""
-        poses = np.concatenate([o.poses for o in self.observations])[:, :2]
-        center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
-        return Scene(
-            (float(center[0]), float(center[1])),
-            float(np.abs(poses - center).max()),
-            float(np.linalg.norm(self.dataset.grid.exterior, axis=1).max()),
-            _typical_speed(self.observations),
-            len(self.observations),
-            self._weight_of(base),
-        )
+        return scene_of(self.observations, [self.dataset.grid], self._weight_of(base))
 
     def _weight_of(self, base: Fitted) -> float:
         """Weight of the object in a fit, N."""
         return float(base.likelihood.prior.maps(base.z[None]).mass.sum()) * self.dataset.gravity
-
-
-def _typical_speed(observations: Sequence[Observation]) -> float:
-    """Median over pushes of the finger's mean speed while it moves, m/s."""
-    speeds = []
-    for o in observations:
-        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
-        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
-        if len(moving):
-            speeds.append(float(moving.mean()))
-    return float(np.median(speeds)) if speeds else 0.05
 
 
 def _fitted(

@@ -115,7 +115,6 @@ def without_those_objected_to(
     Args:
         answer: with rivals.
         objections: to some of them, by `name_of`.
-        base: the model without effects.
         screening: gains over that model.
     """
     kept = [rival for rival in answer.rivals if name_of(rival) not in objections]
@@ -158,7 +157,6 @@ def far_off(base: Fitted, misfit: float, most: tuple[str, float] | None = None) 
     """No effect is accepted, but predictions are far off; `misfit` is that of the typical push.
 
     Args:
-        base: the model without effects.
         misfit: in units of sensor noise.
         most: the effect that explains most of it although something remains, and the misfit with it.
     """
@@ -220,7 +218,6 @@ def unknown(base: Fitted, screening: Screening, nearest: str = "") -> Outcome:
     """The residual has structure, described by the probe that gains most in a screening.
 
     Args:
-        base: the model without effects.
         screening: gains over that model, or over the effect that comes nearest.
         nearest: that effect, what it gains and what is left on top, as a clause.
     """
@@ -265,7 +262,6 @@ def with_other_causes(
     Only a wrong mass is looked for where nothing is missing.
 
     Args:
-        answer: the verdict.
         dataset: all pushes.
         without: what `identify` learns without effects.
         before: errors of the locked pushes without effects; None where nothing was locked.

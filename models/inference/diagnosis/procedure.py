@@ -144,43 +144,13 @@ def diagnose(
         inquiry = Inquiry(few, observations, candidates, 0 if quick else draws, rng, report)
         return inquiry, inquiry.run()
 
-    def learned_with(
-        rivals: Sequence[Fitted | None], told: Progress = silent
-    ) -> list[Callable[[], Identification]]:
-        """What `identify` and `fit` learn from the same pushes, which judges the answer; the first one tells
-        its progress."""
-        own = partial(learn, divided, everything, seed=seed)
-        return [partial(own, rival, report=silent if place else told) for place, rival in enumerate(rivals)]
-
-    tasks: list[Callable[[], Any]] = [inquire, *learned_with([None])]
+    # What `identify` and `fit` learn from the same pushes.
+    learned_with = partial(learn, divided, everything, seed=seed)
+    tasks: list[Callable[[], Any]] = [inquire, partial(learned_with, None, report=silent)]
     (inquiry, outcome), without = side_by_side(tasks)
     before = locked_errors(without)
 
-    def judged(
-        answer: Outcome, baseline: LockedErrors | None, rough: bool
-    ) -> tuple[Outcome, list[Identification], LockedErrors | None]:
-        """An answer without rivals that the locked pushes contradict, what is learned with the rest, and the
-        smallest locked errors, with any of the rivals or of the baseline.
-
-        It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
-        If only pairs are contradicted, some by an effect that may be zero, the other ones are judged alone.
-        """
-        learned = side_by_side(learned_with(answer.rivals, about("with effects", report)))
-        with_each = {
-            outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
-            for rival, own in zip(answer.rivals, learned, strict=True)
-        }
-        against = objections(with_each, rough, baseline)
-        kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
-        needed = [] if kept.rivals else inquiry.without_needless(answer.rivals, against)
-        if needed:
-            found, with_needed, least = judged(outcomes.one_of(needed), baseline, rough)
-            if found.rivals:
-                return replace(found, objections={**kept.objections, **found.objections}), with_needed, least
-        every = [one for one in (baseline, *(errors for *_, errors in with_each.values())) if one is not None]
-        least = min(every, key=lambda one: typical_misfit(one.misfit), default=None)
-        return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals], least
-
+    judged = partial(_judged, inquiry, learned_with)
     outcome, learned, least = judged(outcome, before, inquiry.rough)
     by_evidence = cache(partial(inquiry.by_evidence, with_locked(few, locked), seed))
     second = None if quick or before is None else inquiry.second_beside_first(by_evidence)
@@ -215,6 +185,43 @@ def diagnose(
         seconds=time.perf_counter() - started,
         seed=seed,
     )
+
+
+def _judged(
+    inquiry: Inquiry,
+    learned_with: Callable[..., Identification],
+    answer: Outcome,
+    baseline: LockedErrors | None,
+    rough: bool,
+) -> tuple[Outcome, list[Identification], LockedErrors | None]:
+    """An answer without rivals that the locked pushes contradict, what is learned with the rest, and the
+    smallest locked errors, with any of the rivals or of the baseline.
+
+    It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
+    If only pairs are contradicted, some by an effect that may be zero, the other ones are judged alone.
+
+    Args:
+        learned_with: learns a model with a rival from the pushes that are not locked.
+    """
+    told = about("with effects", inquiry.report)  # the progress of the first
+    learned = side_by_side([
+        partial(learned_with, rival, report=silent if place else told)
+        for place, rival in enumerate(answer.rivals)
+    ])  # fmt: skip
+    with_each = {
+        outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
+        for rival, own in zip(answer.rivals, learned, strict=True)
+    }
+    against = objections(with_each, rough, baseline)
+    kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
+    needed = [] if kept.rivals else inquiry.without_needless(answer.rivals, against)
+    if needed:
+        found, with_needed, least = _judged(inquiry, learned_with, outcomes.one_of(needed), baseline, rough)
+        if found.rivals:
+            return replace(found, objections={**kept.objections, **found.objections}), with_needed, least
+    every = [one for one in (baseline, *(errors for *_, errors in with_each.values())) if one is not None]
+    least = min(every, key=lambda one: typical_misfit(one.misfit), default=None)
+    return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals], least
 
 
 _FIRSTS_TRIED = 2
@@ -570,9 +577,7 @@ class Inquiry:
                 continue
             name, gain = effect.name, float(self.first.gain[i])
             fitted, left = self.refits.fits.get(name), self.left.get(name)
-            own = told.get(name, ())
-            if not own and fitted is not None:
-                own = parameter_estimates(fitted)
+            own = told.get(name) or (parameter_estimates(fitted) if fitted is not None else ())
             results.append(
                 CandidateResult(
                     name=name,

@@ -172,11 +172,7 @@ def find_effects(
     """Fit the model with some effects to pushes.
 
     Args:
-        dataset: the dataset that the pushes belong to.
-        observations: pushes to learn from.
         effects: effects of the model, at least one.
-        rng: of the draws.
-        report: called with (stage, done, total).
 
     Raises:
         DatasetError: the model with the effects cannot be fitted.

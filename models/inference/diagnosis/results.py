@@ -17,6 +17,7 @@ from slipmap.models.inference.diagnosis.joint_answer import MORE_PUSHES
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors, turned
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.results import Identification
+from slipmap.models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 
@@ -37,13 +38,20 @@ class ParameterEstimate:
 
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
-    """Parameters of a fitted model with their 90 % intervals, clipped to the allowed range."""
-    values, spread = fitted.values, 1.645 * fitted.standard_deviations
-    low, high = bounds(fitted.effects)
-    lows, highs = np.maximum(values - spread, low), np.minimum(values + spread, high)
-    every = [(effect.name, p.name, p.unit) for effect in fitted.effects for p in effect.parameters]
-    numbers = zip(values.tolist(), lows.tolist(), highs.tolist(), strict=True)
-    return tuple(ParameterEstimate(*names, *own) for names, own in zip(every, numbers, strict=True))
+    """Parameters of a fitted model with their 90 % intervals."""
+    return estimated(fitted.effects, fitted.values, fitted.standard_deviations)
+
+
+def estimated(
+    effects: Sequence[Effect], values: FloatArray, deviations: FloatArray
+) -> tuple[ParameterEstimate, ...]:
+    """Parameters (P,) of effects, given their standard deviations, with 90 % intervals clipped to the allowed
+    range."""
+    (low, high), spread = bounds(effects), 1.645 * deviations
+    ends = np.maximum(values - spread, low).tolist(), np.minimum(values + spread, high).tolist()
+    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
+    numbers = zip(every, values.tolist(), *ends, strict=True)
+    return tuple(ParameterEstimate(*names, *own) for names, *own in numbers)
 
 
 def estimates_by_effect(learned: Identification) -> dict[str, tuple[ParameterEstimate, ...]]:

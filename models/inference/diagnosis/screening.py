@@ -82,14 +82,11 @@ def screen(
     """Gains of all effects on top of a fitted model.
 
     Args:
-        fitter: holds the data.
         fitted: the model, at its optimum.
         everything: named effects, then probes.
         named: number of named effects; every model may include these to a negligible amount.
         scene: for the candidates' starts.
         draws: D, simulated datasets.
-        rng: of the draws.
-        progress: called with the numbers of parts done and of all parts.
         flips: whether the gains of data with flipped signs are wanted too.
     """
     report = progress or (lambda done, total: None)

@@ -35,15 +35,8 @@ from slipmap.models.blas import one_blas_thread
 from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import candidates_given, effects_given
-from slipmap.models.inference.alone import alone
 from slipmap.models.inference.diagnosis.joint_answer import answer_about, joint_answer, objection_to
-from slipmap.models.inference.diagnosis.locked import (
-    CLEARLY,
-    Ground,
-    JudgedFit,
-    LockedErrors,
-    with_locked,
-)
+from slipmap.models.inference.diagnosis.locked import CLEARLY, Ground, JudgedFit, LockedErrors, with_locked
 from slipmap.models.inference.diagnosis.outcomes import doubts_of_check, wrong_sizes
 from slipmap.models.inference.diagnosis.results import (
     DatasetResult,
@@ -51,13 +44,14 @@ from slipmap.models.inference.diagnosis.results import (
     JointDiagnosis,
     JointIdentification,
     ParameterEstimate,
+    estimated,
 )
 from slipmap.models.inference.diagnosis.verdict_rules import far_above_noise
 from slipmap.models.inference.identification import check_request, learn
 from slipmap.models.inference.mixture import EffectsGiven
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.results import holds_null
-from slipmap.models.inference.together import FirstGain, JointFit, Together, between, is_shared
+from slipmap.models.inference.together import FirstGain, JointFit, Together, alone, between, is_shared
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.push_dataset import check_datasets_given, check_distinct
 from slipmap.models.measurements.trial_checks import fault_of_frame
@@ -107,7 +101,6 @@ def diagnose_together(
             `finger`, `force sensor`; the object is never shared.
         draws: random signs of whole pushes for the p-values; with 0 there are none.
         seed: of the draws and of the choice of locked pushes.
-        progress: called with (stage, done, total).
 
     Raises:
         DatasetError: fewer than two datasets, two with the same name or the same push, or one without a push
@@ -151,7 +144,6 @@ def fit_together(
         datasets, apart, progress: as in `diagnose_together`.
         effects: of the model; those of the library may be given by name.
         hypotheses: of each belief, at least 2.
-        seed: of every random draw.
 
     Raises:
         DatasetError: as in `diagnose_together`, or the model with the effects cannot be fitted.
@@ -214,9 +206,7 @@ def named_by_evidence(
 
     Args:
         dataset: with the locked pushes held out.
-        effects: candidates.
         seed: of the predictions.
-        progress: called with the numbers of parts done and of all parts.
 
     Returns:
         One effect, or two, the first first; empty if none is named.
@@ -536,7 +526,7 @@ class _Inquiry:
             own, widths = (np.array([each[part][i] for each in apart]) for part in (0, 1))
             known = (widths**-2.0).sum() + one.fit.scales[i] ** -2
             deviations[i] = np.sqrt(max(deviations[i] ** 2, 1.0 / known) + between(own, widths) / len(apart))
-        every = _intervals(one.fit.effects, values, deviations)
+        every = estimated(one.fit.effects, values, deviations)
         return tuple(estimate for estimate, own in zip(every, shared, strict=True) if own)
 
     def _alone(self, fit: JointFit, place: int) -> tuple[FloatArray, FloatArray]:
@@ -552,7 +542,7 @@ class _Inquiry:
             place, before = self._place(k), self.before[k]
             by_itself: tuple[ParameterEstimate, ...] = ()
             if best is not None and place is not None:
-                by_itself = _intervals(best.fit.effects, *self._alone(best.fit, place))
+                by_itself = estimated(best.fit.effects, *self._alone(best.fit, place))
             results.append(
                 DatasetResult(
                     ground.taught.dataset.name,
@@ -585,14 +575,3 @@ class _Inquiry:
             0.0, self.seed, answer.together, tuple(sorted(self.apart)),
             leading[0].fit.effects[0].belongs_to if leading else None, tuple(first),
         )  # fmt: skip
-
-
-def _intervals(
-    effects: Sequence[Effect], values: FloatArray, spread: FloatArray
-) -> tuple[ParameterEstimate, ...]:
-    """90 % intervals, clipped to the allowed range."""
-    allowed = bounds(effects)
-    rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
-    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
-    numbers = zip(every, *rows, strict=True)
-    return tuple(ParameterEstimate(*names, *own) for names, *own in numbers)

@@ -144,7 +144,6 @@ class Rules:
         """Index of the largest gain that counts, or None where none does.
 
         Args:
-            screening: gains.
             floor: gain that a named effect must exceed, nats.
             probe_floor: gain that a probe must exceed, nats.
         """
@@ -190,7 +189,7 @@ class Rules:
 
         The gain counts to first order, or, if three times as large, when refitted.
         """
-        gain = float(first.gain[[c.name for c in first.candidates].index(name)])
+        gain = first.by_name[name]
         return (gain > PROBE_GAIN and self.beyond_chance(first, gain)) or fitted_gain > 3 * PROBE_GAIN
 
     def stands_faintly(self, first: Screening, name: str, fitted_gain: float) -> bool:
@@ -198,7 +197,7 @@ class Rules:
 
         The locked pushes then decide. Fewer than one in forty datasets with nothing hidden get this far.
         """
-        gain = float(first.gain[[c.name for c in first.candidates].index(name)])
+        gain = first.by_name[name]
         return (
             self.simulated
             and gain > PROBE_GAIN / 2

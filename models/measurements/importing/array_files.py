@@ -10,7 +10,6 @@ import json
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,25 +29,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 _DEEPEST = 16  # folders inside a file
 _MOST_ARRAYS = 4096
-_BROKEN = (
-    OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, AttributeError, ArithmeticError,
-    zlib.error,
-)  # fmt: skip
-"""Errors that libraries raise on unexpected files."""
-
 _Items = Iterable[tuple[str, Any]]  # of a group, by name
-
-
-@contextmanager
-def _reading(where: str, kind: str, errors: tuple[type[Exception], ...]) -> Iterator[None]:
-    """Report errors of a library that reads a kind of file as DatasetError."""
-    try:
-        yield
-    except DatasetError:
-        raise
-    except errors as error:
-        shown = parsing.shown_error(error)
-        raise DatasetError(f"{where}: not readable as {kind} ({shown}); was the file cut short?") from None
 
 
 def _leaves(
@@ -81,7 +62,7 @@ def read_hdf5(path: Path, where: str) -> list[Source]:
 
     check_size(path, where)
     found: dict[str, FloatArray] = {}
-    with _reading(where, "HDF5", _BROKEN), h5py.File(path, "r") as file:
+    with parsing.reading(where, "HDF5"), h5py.File(path, "r") as file:
         for name, item in _leaves(inside(file) or (), inside):
             if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
                 continue
@@ -107,7 +88,7 @@ def read_matlab(path: Path, where: str) -> list[Source]:
 
     _refuse_exploding_matlab(path, where)
     # scipy's reader can raise anything on broken bytes
-    with _reading(where, "MATLAB", (Exception,)):
+    with parsing.reading(where, "MATLAB", (Exception,)):
         variables = loadmat(path, simplify_cells=True).items()
         own = [(name, value) for name, value in variables if not name.startswith("__")]
         leaves = _leaves(own, lambda value: value.items() if isinstance(value, dict) else None)
@@ -129,7 +110,7 @@ def _refuse_exploding_matlab(path: Path, where: str) -> None:
         size = int.from_bytes(content[place + 4 : place + 8], order)  # type: ignore[arg-type]
         if kind == 15:  # miCOMPRESSED
             stream, rest = zlib.decompressobj(), content[place + 8 : place + 8 + size]
-            with _reading(where, "MATLAB", (zlib.error,)):
+            with parsing.reading(where, "MATLAB", (zlib.error,)):
                 while rest and unpacked <= 8 * MOST_NUMBERS:
                     unpacked += len(stream.decompress(rest, 2**20))
                     rest = stream.unconsumed_tail
@@ -153,7 +134,7 @@ def read_zarr(path: Path, where: str) -> list[Source]:
                 raise DatasetError(f"{where}: contains pickles, which can run code; write plain arrays")
     found: dict[str, FloatArray] = {}
     # any library that unpacks chunks can raise its own
-    with _reading(where, "zarr", (Exception,)):
+    with parsing.reading(where, "zarr", (Exception,)):
         groups = zarr.open_group(str(path), mode="r").members()
         for name, item in _leaves(
             groups, lambda item: item.members() if isinstance(item, zarr.Group) else None
@@ -175,7 +156,7 @@ def read_parquet(path: Path, where: str) -> list[Source]:
         raise missing_library(where, "pyarrow") from None
     check_size(path, where)
     columns: dict[str, Column] = {}
-    with _reading(where, "parquet", (ArrowException, *_BROKEN)):
+    with parsing.reading(where, "parquet", (ArrowException, *parsing.BROKEN)):
         file = parquet.ParquetFile(path)
         rows = file.metadata.num_rows
         _refuse_size(rows * file.metadata.num_columns, where)

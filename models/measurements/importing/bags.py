@@ -147,9 +147,6 @@ def _named(message: Any) -> Iterator[tuple[str, Any]]:
         for field in fields(message):
             if not field.name.isupper() and field.name != "__msgtype__":
                 yield field.name, getattr(message, field.name)
-    elif hasattr(message, "__slots__"):
-        for name in message.__slots__:
-            yield name.lstrip("_"), getattr(message, name)
 
 
 def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.measurements.motion import row_noise
+from slipmap.models.measurements.motion import row_noise, spread_rows
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.physics.cell_grid import FloatArray
@@ -158,7 +158,7 @@ def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
     chosen = []
     for rows, most in ((np.flatnonzero(moving), count), (np.flatnonzero(~moving), count // 3)):
         if len(rows):
-            rows = rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
+            rows = rows[spread_rows(len(rows), most)]
         chosen.append(rows)
     return np.sort(np.concatenate(chosen))
 
@@ -320,7 +320,7 @@ def _row_period(channel: Channel) -> float:
 
 def _usual_forces(values: FloatArray) -> list[FloatArray]:
     """Up to three frequent forces (2,); one of them is what the sensor reads without contact."""
-    chosen = values[np.unique(np.linspace(0, len(values) - 1, _USUAL_ROWS).astype(int))]
+    chosen = values[spread_rows(len(values), _USUAL_ROWS)]
     noise = float(np.median(np.abs(np.diff(values, axis=0)))) + 1e-9
     near = max(4.0 * noise, 0.02 * float(np.ptp(chosen, axis=0).max()))
     close = np.hypot(*np.moveaxis(chosen[:, None] - chosen[None], -1, 0)) < near

@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
-from slipmap.models.measurements.importing.array_files import (
-    read_hdf5,
-    read_matlab,
-    read_parquet,
-    read_zarr,
-)
+from slipmap.models.measurements.importing.array_files import read_hdf5, read_matlab, read_parquet, read_zarr
 from slipmap.models.measurements.importing.bags import BAG_ENDINGS, read_bag
 from slipmap.models.measurements.importing.source import Reader, Source
 from slipmap.models.measurements.importing.text_tables import TEXT_ENDINGS, read_text

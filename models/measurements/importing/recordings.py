@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.contact import contact_rows, middle_angle, normals_and_forces
-from slipmap.models.measurements.importing.clocks import (
-    Lag,
-    finger_lag,
-    force_lag,
-    usual_lag,
-)
+from slipmap.models.measurements.importing.clocks import Lag, finger_lag, force_lag, usual_lag
 from slipmap.models.measurements.importing.files import find_files, read_sources
 from slipmap.models.measurements.importing.force_bias import Bias, force_at_rest, unknown_biases, usual_bias
 from slipmap.models.measurements.importing.import_setup import (
@@ -48,11 +43,6 @@ _NOWHERE = 100.0  # m from the object, where an absent finger is placed
 _LONGEST = 1e5  # s of a recording
 _FEWEST_ROWS = 10  # rows of a push after which stamps may start again,
 _NEAR_START = 0.1  # within this share of its duration from where they began
-_CUT_WHERE = {
-    "while the finger is away": "the object is carried while the finger is away",
-    "no rows of object and finger": "nothing was recorded for a while",
-}
-"""Words of `cut_at_carries`, and the remark to which they lead."""
 
 
 def import_dataset(
@@ -431,11 +421,7 @@ def _new_starts(time: FloatArray) -> NDArray[np.int_]:
 
 
 def _one_clock(
-    name: str,
-    sources: Mapping[str, Source],
-    said: ImportSetup,
-    usual: Lag | None,
-    bias: FloatArray | None,
+    name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None, bias: FloatArray | None
 ) -> _Recording:
     """Pushes of a recording, with all channels on the clock of the object's poses."""
     setup = said.setup
@@ -465,33 +451,7 @@ def _one_clock(
     doubts += more
     if "tip_pose" in found and len(found["tip_pose"].lifted):
         trial = _far_where_lifted(trial, found["tip_pose"].lifted)
-    force_lags: list[Lag | None] = []
-    fingers: Lag | None = None
-    for channel in ("tip_pose", "ft_wrench"):
-        if channel not in sources:
-            continue
-        clock = said.channels[channel].clock
-        if _is_aligned(channel, sources, said):
-            near = epochs["object_pose"] and epochs[channel] and clock is None
-            if channel == "tip_pose":
-                lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
-            else:
-                force = trial.channels["ft_wrench"]
-                lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
-                beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
-                if fingers is not None and beside and (lag is None or not lag.by_touch):
-                    lag = fingers._replace(text="as for the finger in the same file")
-                force_lags.append(lag)
-                if usual is not None and _stands_alone(lag, usual):
-                    doubts.append(_outvoted(name, lag, usual))
-                    lag = usual
-            trial, text = _aligned(trial, channel, lag)
-            (steps if text.startswith(channel) else doubts).append(text)
-            if lag is not None and not lag.by_touch:
-                doubts.append(
-                    f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
-                    " picture, or give ft_wrench.clock, the seconds to add to its stamps"
-                )
+    trial, force_lags = _by_contact(trial, sources, said, usual, epochs, steps, doubts)
     biases: dict[str, Bias | None] = {}
     if trial.ft_wrench is not None and trial.finger_near(said.setup.reach):
         if said.channels["ft_wrench"].offset is None:
@@ -505,16 +465,62 @@ def _one_clock(
     return _Recording(parted, doubts, [name], [(name, step) for step in steps], force_lags, biases)
 
 
+def _by_contact(
+    trial: Trial,
+    sources: Mapping[str, Source],
+    said: ImportSetup,
+    usual: Lag | None,
+    epochs: Mapping[str, bool],
+    steps: list[str],
+    doubts: list[str],
+) -> tuple[Trial, list[Lag | None]]:
+    """The trial with finger and force on the object's clock, by contact where they need it, and the lag that
+    was found for the force, if one was looked for.
+
+    Args:
+        usual: lag of the force in the session as a whole.
+        epochs: whether the stamps of a channel count from 1970.
+        steps, doubts: to which remarks are added.
+    """
+    setup = said.setup
+    force_lags: list[Lag | None] = []
+    fingers: Lag | None = None
+    for channel in ("tip_pose", "ft_wrench"):
+        if channel not in sources or not _is_aligned(channel, sources, said):
+            continue
+        near = epochs["object_pose"] and epochs[channel] and said.channels[channel].clock is None
+        if channel == "tip_pose":
+            lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
+        else:
+            force = trial.channels["ft_wrench"]
+            lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
+            beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
+            if fingers is not None and beside and (lag is None or not lag.by_touch):
+                lag = fingers._replace(text="as for the finger in the same file")
+            force_lags.append(lag)
+            if usual is not None and _stands_alone(lag, usual):
+                doubts.append(_outvoted(trial.name, lag, usual))
+                lag = usual
+        trial, text = _aligned(trial, channel, lag)
+        (steps if text.startswith(channel) else doubts).append(text)
+        if lag is not None and not lag.by_touch:
+            doubts.append(
+                f"{trial.name}: no touch confirms the clock of {channel}; compare contact and force in the"
+                " picture, or give ft_wrench.clock, the seconds to add to its stamps"
+            )
+    return trial, force_lags
+
+
 def _parted(setup: Setup, trial: Trial, name: str) -> tuple[list[Trial], list[str]]:
     """The pushes of a recording, and remarks on where it was cut."""
     pushes, cuts = cut_at_carries(setup, [trial], name)
-    steps = [f"cut where {why}" for sign, why in _CUT_WHERE.items() if any(sign in text for text in cuts)]
+    steps = [f"cut where {reason}" for cut in cuts for reason in cut.reasons]
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push, LONGEST_PUSH)]
     if len(parted) > len(pushes):
         steps.append(f"cut into {len(parted)} pushes where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
     for piece in parted:
-        refuse_long(piece.object_pose, f"{piece.name}")
+        refuse_long(piece.object_pose, piece.name)
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return parted, steps
@@ -544,7 +550,7 @@ def _lowered(trial: Trial) -> Trial:
     tip = trial.tip_pose
     away = tip.values - trial.object_pose.at(tip.time)[:, :2]
     down = np.hypot(*away.T) < 0.5 * _NOWHERE
-    return replace(trial, tip_pose=Channel(tip.time[down], tip.values[down])) if down.any() else trial
+    return replace(trial, tip_pose=tip.chosen(down)) if down.any() else trial
 
 
 def _stands_alone(lag: Lag | None, usual: Lag) -> bool:

@@ -85,8 +85,7 @@ class Source:
     def listed(self) -> str:
         """The existing columns, for error messages."""
         names = [parsing.shown(name) if name.strip() != name or not name else name for name in self.columns]
-        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-        return f"there are {', '.join(names[:_MOST_NAMED])}{more}"
+        return f"there are {parsing.listed(names, _MOST_NAMED)}"
 
     def texts(self, column: str) -> list[str]:
         """(T,) cells of a column as texts."""

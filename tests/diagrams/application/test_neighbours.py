@@ -28,9 +28,9 @@ from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
 from slipmap.models.files import (
     PART,
     BadInput,
+    all_or_nothing,
     replaced_file,
     replaced_folder,
-    together,
     write_json,
     write_text,
 )
@@ -94,12 +94,12 @@ if os.environ.get("MASTER") == str(os.getppid()):
 def test_results_appear_together_or_not_at_all(tmp_path):
     first, second = tmp_path / "belief.json", tmp_path / "report.html"
     first.write_text("old")
-    with pytest.raises(RuntimeError), together():
+    with pytest.raises(RuntimeError), all_or_nothing():
         write_json(first, {})
         write_text(second, "new")
         raise RuntimeError
     assert files_in(tmp_path) == ["belief.json"] and first.read_text() == "old"
-    with together():
+    with all_or_nothing():
         write_json(first, {})
         write_text(second, "half")
         write_text(second, "new")  # the last word counts
@@ -122,11 +122,11 @@ def test_a_folder_appears_together_with_files(tmp_path, before):
             (fresh / "new").write_text("")
 
     there = files_in(tmp_path)
-    with pytest.raises(RuntimeError), together():
+    with pytest.raises(RuntimeError), all_or_nothing():
         write()
         raise RuntimeError
     assert files_in(tmp_path) == there
-    with together():
+    with all_or_nothing():
         write()
         assert not picture.exists() and not (pushes / "new").exists()
     assert files_in(tmp_path) == ["pushes.png", "pushes/new"]
@@ -144,7 +144,7 @@ def test_what_a_killed_process_left_goes_when_the_next_one_writes(tmp_path):
     write_json(tmp_path / "belief.json", {})
     assert files_in(tmp_path) == sorted([*kept, "belief.json"]) and not (tmp_path / left[1]).exists()
     (tmp_path / left[0]).touch()
-    with together():
+    with all_or_nothing():
         write_json(tmp_path / "belief.json", {})
     assert files_in(tmp_path) == sorted([*kept, "belief.json"])
 
@@ -197,7 +197,7 @@ def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeyp
     # A shell that starts tests in the background has SIGINT ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), together():
+        with pytest.raises(KeyboardInterrupt), all_or_nothing():
             write_text(tmp_path / "a", "new")
             write_text(tmp_path / "b", "new")
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -230,7 +230,7 @@ def test_ctrl_c_while_temporary_files_are_removed_leaves_none(tmp_path, monkeypa
                 with replaced_folder(tmp_path / "new") as fresh:
                     fresh.mkdir()
             else:
-                with together():
+                with all_or_nothing():
                     write_text(tmp_path / "a", "new")
                     write_text(tmp_path / "b", "new")
                     raise BadInput
@@ -244,7 +244,7 @@ def test_ctrl_c_while_a_push_is_written_still_stops_the_arm_first(tmp_path, monk
     aborts: list[int] = []
     interrupted_at(monkeypatch, "unlink")
     with stopped_by_ctrl_c(SimpleNamespace(abort=lambda: aborts.append(1))) as pressed:
-        with pytest.raises(BadInput), together():
+        with pytest.raises(BadInput), all_or_nothing():
             write_text(tmp_path / "a", "new")
             raise BadInput
         assert pressed() and aborts == [1]
@@ -270,7 +270,7 @@ def told(place, how):
     flock(place, how)
 
 os.replace, files.fcntl.flock = halt, told
-with files.together():
+with files.all_or_nothing():
     for name in ("belief", "picture"):
         files.write_text(Path(sys.argv[2]) / name, who)
 print("done", flush=True)

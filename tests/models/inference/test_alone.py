@@ -9,9 +9,8 @@ import pytest
 
 import slipmap
 from slipmap.models.effects.library import TableTilt
-from slipmap.models.inference.alone import alone
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.together import Taught, Together
+from slipmap.models.inference.together import Taught, Together, alone
 
 TILT = TableTilt()
 

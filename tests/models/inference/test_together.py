@@ -7,7 +7,6 @@ import pytest
 
 from slipmap.models.effects.effect import Effect, Parameter
 from slipmap.models.effects.library import AnisotropicObject, TableTilt
-from slipmap.models.inference.alone import alone
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
@@ -19,6 +18,7 @@ from slipmap.models.inference.together import (
     _eliminated,
     _fall,
     _prior,
+    alone,
 )
 
 SETTINGS = PriorSettings(modes=5)

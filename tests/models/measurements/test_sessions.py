@@ -8,7 +8,7 @@ import pytest
 from straight_pushes import reread, straight_pushes
 
 from slipmap.models.measurements import Channel, DatasetError, read_dataset
-from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
+from slipmap.models.measurements.sessions import CARRIED, SILENT, cut_at_carries, cut_at_rests
 from slipmap.models.measurements.setup_description import setup_document
 
 CARRY = 1.5  # s
@@ -119,9 +119,11 @@ def test_a_recording_is_cut_where_it_pauses():
     assert [push.name for push in pushes] == [f"all.csv#{number}" for number in (1, 2, 3, 4)]
     for push, whole in zip(pushes, setup.trials, strict=True):
         assert np.array_equal(push.object_pose.values, whole.object_pose.values[:72])
-    assert "no rows of object and finger for 3.01 s from t = 0.7 s on and 2 more times" in told[0]
-    (told,) = cut_at_carries(setup, [pressed(1500.0)], "all.csv")[1]
-    assert "no rows of object and finger for 1500 s" in told
+    (cut,) = told
+    assert "no rows of object and finger for 3.01 s from t = 0.7 s on and 2 more times" in cut.text
+    assert cut.reasons == (SILENT,)
+    (cut,) = cut_at_carries(setup, [pressed(1500.0)], "all.csv")[1]
+    assert "no rows of object and finger for 1500 s" in cut.text
 
 
 def test_carrying_and_pauses_are_counted_apart(recorded):
@@ -137,7 +139,9 @@ def test_carrying_and_pauses_are_counted_apart(recorded):
         for name in ("object_pose", "tip_pose")
     }
     setup = straight_pushes(4)
-    _, (told,) = cut_at_carries(setup, [replace(carried, **both)], "all.csv")
+    _, (cut,) = cut_at_carries(setup, [replace(carried, **both)], "all.csv")
+    told = cut.text
+    assert cut.reasons == (CARRIED, SILENT)
     # The finger is away in the pause after the session: someone carried the object.
     assert (
         "while the finger is away at t = 1." in told and " s and 3 more times, and there are no rows" in told
