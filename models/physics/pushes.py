@@ -81,7 +81,7 @@ class Push:
         away = np.hypot(*(tip[~absent] - self.start_pose[:2]).T)
         if len(away) and away.min() > _FARTHEST:
             raise ValueError(
-                f"push: the finger stays {away.min():.3g} m away from start_pose; are tip and start_pose in m?"
+                f"push: the finger stays {away.min():.3g} m from start_pose; are tip and start_pose in m?"
                 " A finger that is absent has NaN in both columns"
             )
         if self.pose_times is None:
