@@ -8,9 +8,10 @@ with gravity tilted to balance friction, where that is possible, and average ove
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -88,62 +89,44 @@ def ask(subject: Subject, report: Report) -> Answers:
     Raises:
         BadInput: the engine fails, or ignores the tilt of gravity or the velocity at the start.
     """
-    done = 0
+    numbers = itertools.count(1)
 
-    def count() -> None:
-        nonlocal done
-        done += 1
-        report(done)
+    def done(answer: Any) -> Any:
+        report(next(numbers))
+        return answer
 
-    _check_gravity(subject)
-    count()
-    _check_velocity(subject)
-    count()
-    slides = []
-    for angle in DIRECTIONS:
-        slides.append(_free_slide(subject, angle))
-        count()
+    for check in (_check_gravity, _check_velocity):
+        check(subject)
+        done(None)
+    slides = [done(_free_slide(subject, angle)) for angle in DIRECTIONS]
     direction, friction = np.array(slides).transpose(1, 0, 2)
     harmonics = harmonics_of(direction, friction, subject.dt, subject.full_dt)
-    turned = []
-    for angle in DIRECTIONS[::3]:
-        turned.append(_free_slide(subject, angle, np.array([0.0, 0.0, _TURNED])))
-        count()
+    heading = np.array([0.0, 0.0, _TURNED])
+    turned = [done(_free_slide(subject, angle, heading)) for angle in DIRECTIONS[::3]]
     by_place = []
     for axis, angle in zip(np.eye(2), (0.0, np.pi / 2), strict=True):
-        sizes = []
-        for side in (-APART, APART):
-            sizes.append(-_free_slide(subject, angle, np.append(side * axis, 0.0))[1] @ axis)
-            count()
-        by_place.append((sizes[1] - sizes[0]) / 2)
-    steady, unsure = [], []
-    for speed in STEADY_SPEEDS:
-        both = []
-        for sense in (1.0, -1.0):
-            both.append(_steady_slide(subject, speed, sense))
-            count()
-        steady.append(np.mean(both, axis=0)[0])
-        unsure.append(np.mean(both, axis=0)[1])
+        starts = (np.append(side * axis, 0.0) for side in (-APART, APART))
+        before, beyond = (done(-_free_slide(subject, angle, start)[1] @ axis) for start in starts)
+        by_place.append((beyond - before) / 2)
+    both_ways = [[done(_steady_slide(subject, v, sense)) for sense in (1.0, -1.0)] for v in STEADY_SPEEDS]
+    steady, unsure = np.mean(both_ways, axis=1).T
     along_x = 1 + float(harmonics.along[0])
-    law = Law(harmonics, _is_of_object(harmonics, np.array(turned)), np.array(steady) / along_x)
+    law = Law(harmonics, _is_of_object(harmonics, np.array(turned)), steady / along_x)
     same = Subject("law", type("Same", (LawEngine,), {"dt": subject.dt, "law": law}), subject.full_dt)
-    spins = []
-    for number, rate in enumerate(SPINS):
-        heading = 2 * np.pi * number / len(SPINS)
-        spins.append(_spin_torque(subject, rate, heading) / _spin_torque(same, rate, heading))
-        count()
-    slow = (_slow_spin_torques(subject) - _slow_spin_torques(same)) / _spin_torque(same, SPINS[-1], 0.0)
-    count()
-    creep = []
-    for angle in _CREEP_DIRECTIONS:
-        creep.append(_creep(subject, np.array([np.cos(angle), np.sin(angle)])))
-        count()
+    headings = 2 * np.pi * np.arange(len(SPINS)) / len(SPINS)
+    spins = [
+        done(_spin_torque(subject, rate, at) / _spin_torque(same, rate, at))
+        for rate, at in zip(SPINS, headings, strict=True)
+    ]
+    slow = _slow_spin_torques(subject) - _slow_spin_torques(same)
+    slow = done(slow / _spin_torque(same, SPINS[-1], 0.0))
+    creep = [done(_creep(subject, angle)) for angle in _CREEP_DIRECTIONS]
     again = subject.lay(plain_scene())
     ends = [_turning_slide(laid)[-1, :2] for laid in (subject.lay(plain_scene()), again, again)]
-    count()
+    repeat = done(float(max(np.linalg.norm(end - ends[0]) for end in ends)))
     return Answers(
-        direction, friction, np.array(by_place), np.array(steady), np.array(unsure), law, np.array(spins),
-        slow, np.array(creep), float(max(np.linalg.norm(end - ends[0]) for end in ends)),
+        direction, friction, np.array(by_place), steady, unsure, law, np.array(spins), slow, np.array(creep),
+        repeat,
     )  # fmt: skip
 
 
@@ -283,8 +266,9 @@ def _slow_spin_torques(subject: Subject) -> FloatArray:
     return np.array(torques)
 
 
-def _creep(subject: Subject, along: FloatArray) -> float:
-    """Speed under a load that friction can hold, m/s."""
+def _creep(subject: Subject, angle: float) -> float:
+    """Speed under a load in a direction (rad) that friction can hold, m/s."""
+    along = np.array([np.cos(angle), np.sin(angle)])
     laid = subject.lay(plain_scene(), _tilted(CREEP_LOAD * MU * GRAVITY * along))
     path = laid.slide(REST, _LAID + _CREPT)
     first = round(_LAID / subject.dt)
