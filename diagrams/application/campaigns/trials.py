@@ -256,6 +256,15 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
                 yield TrialOutcome(spec, None, CRASHED)
 
 
+def by_object(outcomes: Sequence[TrialOutcome]) -> dict[str, list[TrialOutcome]]:
+    """Outcomes of the trials that did not fail, by the name of the object."""
+    found: dict[str, list[TrialOutcome]] = {}
+    for outcome in outcomes:
+        if outcome.result is not None:
+            found.setdefault(outcome.spec.parameters["object_name"], []).append(outcome)
+    return found
+
+
 _LEVEL = 0.95  # of all intervals
 
 
