@@ -70,6 +70,12 @@ def warnings_noted(worded: Callable[[str], str] = str) -> Iterator[None]:
         warnings.filterwarnings("ignore", re.escape(text), UserWarning)
 
 
+def counted(count: int, what: str = "push") -> str:
+    """A number of things, such as `1 push` or `3 pushes`."""
+    ending = "es" if what.endswith("sh") else "s"
+    return f"{count} {what}{'' if count == 1 else ending}"
+
+
 def wait_for_enter() -> None:
     """Wait until Enter is pressed or the input ends."""
     sys.stdin.readline()

@@ -19,6 +19,7 @@ from slipmap.diagrams.application.commands.options import (
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import (
     Progress,
+    counted,
     note,
     prepare_kernels,
     wait_for_enter,
@@ -274,7 +275,7 @@ def go_on_exploring(cell: CellRun) -> str:
 def tell_replaced(record: RunFolder, folder: Path) -> None:
     """Print that an earlier run in the folder gives way, if there is one."""
     if record.replaces:
-        pushes = f"{record.replaces} push{'es' * (record.replaces > 1)}"
+        pushes = counted(record.replaces)
         note(f"this run replaces the earlier one in {folder} ({pushes}); --output chooses another folder")
 
 

@@ -12,7 +12,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder, check_output, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, status, table
+from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, status, table
 from slipmap.models.files import BadInput, together, write_json, write_text, writing
 
 if TYPE_CHECKING:
@@ -223,8 +223,7 @@ def import_files(
         if sentence not in warned:
             status(sentence)
     heldout = len(dataset.heldout_trials)
-    count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
-    click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
+    click.echo(f"{dataset.name}: {counted(len(dataset.trials))}, {heldout} of them held out")
     note(f"dataset: {output}\npicture: {picture if output.is_absolute() else os.path.relpath(picture)}")
     where = shlex.quote(str(output))
     note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")

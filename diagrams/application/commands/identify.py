@@ -15,7 +15,14 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_output, make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
+from slipmap.diagrams.application.terminal import (
+    Progress,
+    counted,
+    note,
+    paragraph,
+    prepare_kernels,
+    printable,
+)
 from slipmap.models.files import BadInput, together, whole_file, write_json
 
 if TYPE_CHECKING:
@@ -283,8 +290,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     drawn = f" ({belief.taught} of them, drawn at random, were learned from)" if some else ""
     click.echo(
         f"dataset {printable(dataset.name)}: {len(dataset.grid)} cells;"
-        f" {fit} push{'es' * (fit != 1)} to fit{drawn},"
-        f" {len(dataset.heldout_trials)} held out\n"
+        f" {counted(fit)} to fit{drawn}, {len(dataset.heldout_trials)} held out\n"
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where, belief.effects)

@@ -25,7 +25,7 @@ from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, prepare_kernels, table
 from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
 from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
 
@@ -271,8 +271,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
         note(f"{count - len(waiting)} of {count} datasets are already diagnosed in {output}")
     if waiting:
         at_once = f", {jobs} at a time" if jobs > 1 and len(waiting) > 1 else ""
-        what = f"{len(waiting)} dataset{'s' * (len(waiting) > 1)}"
-        note(f"{what} to simulate and diagnose{at_once}; about a minute each …")
+        note(f"{counted(len(waiting), 'dataset')} to simulate and diagnose{at_once}; about a minute each …")
     started = time.monotonic()
     for done, (case, outcome) in enumerate(_run_all(waiting, jobs), start=1):
         left = (time.monotonic() - started) / done * (len(waiting) - done)
@@ -535,9 +534,9 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
     my_engine.py:Engine (docs/audit.md says what it needs). Probes name the defects, each with a size and an
     uncertainty; 24 pushes of an object with known maps measure their cost in millimetres.
     """
-    from slipmap.diagrams.application.audit import engines as known
+    from slipmap.diagrams.application.audit.engines import find_engine
 
-    subjects = [known.find_engine(spec) for spec in engines]
+    subjects = [find_engine(spec) for spec in engines]
     with Progress() as progress:
         prepare_kernels()
         from slipmap.diagrams.application.audit.procedure import (

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from slipmap.diagrams.application.reports.comparison_words import millimetres
-from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.diagrams.application.terminal import counted, paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.locked import turned
@@ -104,7 +104,7 @@ def probe_sentence(name: str) -> str:
 def evidence(diagnosis: Diagnosis) -> str:
     """The evidence behind the verdict: the pushes, the p-value, and how to read gains."""
     count = len(diagnosis.open_trials)
-    text = f"Based on {count} {'push' if count == 1 else 'pushes'}"
+    text = f"Based on {counted(count)}"
     every = sum(push.role == "fit" for push in diagnosis.without_effects.pushes)
     if every > count and not diagnosis.quick:
         text += f", drawn at random from {every}"
@@ -114,9 +114,9 @@ def evidence(diagnosis: Diagnosis) -> str:
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
         if diagnosis.verdict == "adequate" and diagnosis.p_value <= LEVEL:
-            counted = [c for c in diagnosis.candidates if c.p_value is not None and c.p_value <= LEVEL]
+            clear = [c for c in diagnosis.candidates if c.p_value is not None and c.p_value <= LEVEL]
             # One that was dropped as far behind the best stands, as in `Rules.vanishes`.
-            stands = any(c.fitted_gain is None or c.fitted_gain >= SHRUNK * c.gain for c in counted)
+            stands = any(c.fitted_gain is None or c.fitted_gain >= SHRUNK * c.gain for c in clear)
             text += (
                 ", but the locked pushes are predicted to within the noise without any effect"
                 if stands
@@ -280,12 +280,7 @@ def show_diagnosis(
     )
     rows = parameter_rows(tried(diagnosis, effects), diagnosis.parameters)
     if rows:
-        table(
-            f"Parameters of {', '.join(diagnosis.effects)}",
-            PARAMETERS,
-            rows,
-            numbers=(1, 2),
-        )
+        table(f"Parameters of {', '.join(diagnosis.effects)}", PARAMETERS, rows, numbers=(1, 2))
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
         paragraph(f"Next push: {diagnosis.next_push['sentence']}")
@@ -297,8 +292,7 @@ def _show_locked(diagnosis: Diagnosis) -> None:
     if not rows:
         paragraph("No push was locked away, so nothing tests the answer: record three pushes or more.")
         return
-    count = len(diagnosis.locked)
-    title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
+    title = f"Error on the {counted(len(diagnosis.locked), 'locked push')}"
     table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))
 
 
@@ -557,8 +551,10 @@ def _widening(last: Finding, judged: Sequence[Judged]) -> list[str]:
 def _errors(judged: Sequence[Judged]) -> str:
     off = 1e3 * median(push.error for push in judged)
     share = median(push.error / push.moved for push in judged)
-    count = f"{len(judged)} push{'es' * (len(judged) > 1)}"
-    return f"{count} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved the object"
+    return (
+        f"{counted(len(judged))} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved"
+        " the object"
+    )
 
 
 def _names(effects: Sequence[str]) -> str:
