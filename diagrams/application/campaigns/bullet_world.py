@@ -25,14 +25,11 @@ from slipmap.diagrams.application.campaigns.worlds import (
     flat_pose,
 )
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
-from slipmap.diagrams.station.table import ROUND_TABLE
-from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
-STEP = 2e-3  # s
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
@@ -53,17 +50,17 @@ class BulletWorld(DirectWorld):
         ModuleNotFoundError: pybullet is not installed.
     """
 
-    def __init__(
-        self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
-    ) -> None:
+    _step = 2e-3
+
+    def __init__(self, true_object: TrueObject, noise: WorldNoise | None = None) -> None:
         try:
             pybullet = import_bullet()
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
                 "Bullet is not installed; install it with `pip install 'slipmap[bench]'`"
             ) from error
-        super().__init__(true_object, table, noise)
-        self._bullet = BulletScene(pybullet, (0, 0, -GRAVITY), STEP, True, _ITERATIONS)
+        super().__init__(true_object, noise)
+        self._bullet = BulletScene(pybullet, (0, 0, -GRAVITY), self._step, True, _ITERATIONS)
         self._p, self._where = pybullet, self._bullet.where
         self._add_table()
         self._body = self._add_object()
@@ -71,10 +68,6 @@ class BulletWorld(DirectWorld):
             pybullet.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **self._where
         )
         self._bullet.add_finger(finger, _FINGER_HEIGHT + FINGER_LENGTH / 2)
-
-    @property
-    def _step(self) -> float:
-        return STEP
 
     def _place(self, pose: FloatArray) -> None:
         p, where = self._p, self._where
@@ -88,11 +81,11 @@ class BulletWorld(DirectWorld):
     def _drive(self, tip: FloatArray) -> Motion:
         p, where = self._p, self._where
         self._bullet.put_finger(tip[0])
-        stride = round(PERIOD / STEP)
+        stride = round(PERIOD / self._step)
         poses, tips, forces = [self._pose()], [tip[0]], [np.zeros(2)]
         total, now = np.zeros(2), tip[0]
         for step, wanted in enumerate(tip[1:], start=1):
-            self._bullet.drive((wanted - now) / STEP)
+            self._bullet.drive((wanted - now) / self._step)
             p.stepSimulation(**where)
             states = self._bullet.finger_states()
             now = np.array([state[0] for state in states])
@@ -106,7 +99,7 @@ class BulletWorld(DirectWorld):
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
-        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
+        for step in range(1, round(LONGEST_SETTLING / self._step) + 1):
             self._p.stepSimulation(**self._where)
             if step % 50 == 0:
                 fastest = np.abs(self._p.getBaseVelocity(self._body, **self._where)).max()
@@ -122,13 +115,8 @@ class BulletWorld(DirectWorld):
 
     def _add_table(self) -> None:
         p, where, table = self._p, self._where, self.table
-        if table.radius is not None:
-            shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=table.radius, height=_THICKNESS, **where)
-        else:
-            assert table.size is not None
-            half = [table.size[0] / 2, table.size[1] / 2, _THICKNESS / 2]
-            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, **where)
-        top = p.createMultiBody(0, shape, basePosition=[*table.center, -_THICKNESS / 2], **where)
+        disc = p.createCollisionShape(p.GEOM_CYLINDER, radius=table.radius, height=_THICKNESS, **where)
+        top = p.createMultiBody(0, disc, basePosition=[*table.center, -_THICKNESS / 2], **where)
         floor = p.createMultiBody(
             0, p.createCollisionShape(p.GEOM_BOX, halfExtents=[4, 4, 0.1], **where),
             basePosition=[0, 0, _FLOOR - 0.1], **where,

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -18,7 +19,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import interpolated
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.motion import smooth_track
-from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
+from slipmap.models.measurements.push_dataset import Noise, dataset_of
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
@@ -73,12 +74,11 @@ class DirectWorld(ABC):
     """
 
     finger_radius = FINGER_RADIUS
+    table = ROUND_TABLE
+    _step: ClassVar[float]  # time step of the finger's path, s; a whole fraction of `PERIOD`
 
-    def __init__(
-        self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
-    ) -> None:
+    def __init__(self, true_object: TrueObject, noise: WorldNoise | None = None) -> None:
         self.true_object = true_object
-        self.table = table
         self.noise = noise or WorldNoise()
         self.pushes = 0
         self._rng = np.random.default_rng(0)
@@ -199,11 +199,6 @@ class DirectWorld(ABC):
         """Whether the whole footprint lies on the table."""
         corners = placed(self.true_object.grid.exterior, self._seen)
         return bool((self.table.margin(corners) > 0.0).all())
-
-    @property
-    @abstractmethod
-    def _step(self) -> float:
-        """Time step of the finger's path, s; a whole fraction of `PERIOD`."""
 
     @abstractmethod
     def _place(self, pose: FloatArray) -> None:
