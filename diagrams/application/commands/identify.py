@@ -248,14 +248,14 @@ def keep(
     paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
     progress("drawing", 1, 2)
     shown = _chosen(result.pushes)
-    title = ""
+    some = ""
     if len(shown) < len(result.pushes):
-        count = f"{len(shown)} of {len(result.pushes)} pushes"
-        title = f"{dataset.name}: {count}, from best to worst predicted"
+        some = f"{len(shown)} of {len(result.pushes)} pushes, from best to worst predicted"
+    title = f"{dataset.name}: {some}" if some else ""
     paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(shown, dataset, title=title))
     progress("drawing", 2, 2)
-    if title:
-        note(f"the picture of pushes shows {title.partition(': ')[2]}; --json writes all")
+    if some:
+        note(f"the picture of pushes shows {some}; --json writes all")
     return paths
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from slipmap.diagrams.application.reports.comparison_words import millimetres
+from slipmap.diagrams.application.reports.comparison_words import listed, millimetres
 from slipmap.diagrams.application.terminal import counted, paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
@@ -68,7 +68,7 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         found = candidate.rejected_by
         left = candidate.remaining_gain
         gain = "" if left is None else f" gains {nats(left)} nats more"
-        named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
+        named = f"“{sentence}”" if (sentence := probe_sentence(found)) else found
         return f"{named} on top{gain}"
     for names, text in diagnosis.objections.items():
         if candidate.name in names.split(" and "):
@@ -144,11 +144,13 @@ def improvement(diagnosis: Diagnosis) -> str:
         along = "" if before.ends_only else f"{path} off on average along the path and "
         return f"{which}, the model is {along}{end} {'at' if along else 'off at'} the end {meaning}"
     with_it = after_label(diagnosis)
-    parts = [f"{path} off on average along the path {before_label(diagnosis)} and {path_after} {with_it}"]
-    parts += [f"at the end, {end} and {end_after}"]
+    told = (
+        f"{path} off on average along the path {before_label(diagnosis)} and {path_after} {with_it}; at the"
+        f" end, {end} and {end_after}"
+    )
     if before.ends_only:
-        parts = [f"{end} off at the end {before_label(diagnosis)} and {end_after} {with_it}"]
-    return f"{which}, the model is {'; '.join(parts)} {meaning}{_still_missed(with_it, after.misfit)}"
+        told = f"{end} off at the end {before_label(diagnosis)} and {end_after} {with_it}"
+    return f"{which}, the model is {told} {meaning}{_still_missed(with_it, after.misfit)}"
 
 
 def _still_missed(model: str, misfits: FloatArray) -> str:
@@ -411,7 +413,7 @@ def errors_of_beliefs(found: JointIdentification) -> str:
         return ""
     return (
         "The table judges single best maps. Predicted with the beliefs, held-out pushes end"
-        f" {_listed(errors)} off on average."
+        f" {listed(errors)} off on average."
     )
 
 
@@ -439,16 +441,15 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
             named.append(f"{one.name} ({_end_errors(one)} mm{of_first})")
             of_first = ""
         if named:
-            parts.append(f"{how} in {_listed(named)}")
+            parts.append(f"{how} in {listed(named)}")
     alternatives = isinstance(found, JointDiagnosis) and not found.together
     names = found.effects[0] if alternatives else " and ".join(found.effects)
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
-    # The verdict of a diagnosis tells by itself what is left.
-    left = (
-        [] if isinstance(found, JointDiagnosis) else [o.after.misfit for o in judging if o.after is not None]
-    )
-    missed = _still_missed(f"with {names}", np.concatenate([np.zeros(0), *left]))
+    missed = ""
+    if isinstance(found, JointIdentification):  # the verdict of a diagnosis tells by itself what is left
+        misfits = [one.after.misfit for one in judging if one.after is not None]
+        missed = _still_missed(f"with {names}", np.concatenate(misfits))
     return (
         f"With {names}, the locked pushes are predicted {', '.join(parts)}. Their total cost {turns} by"
         f" {nats(abs(total))} nats.{missed}"
@@ -467,11 +468,6 @@ def _turn(one: DatasetResult) -> str:
 def _end_errors(one: DatasetResult) -> str:
     errors = [millimetres(float(e.final.mean())) for e in (one.before, one.after) if e is not None]
     return " → ".join(errors)
-
-
-def _listed(names: Sequence[str]) -> str:
-    *others, last = names
-    return f"{', '.join(others)} and {last}" if others else last
 
 
 _DID = {
@@ -518,12 +514,13 @@ def _fall_of_error(repair: Repair, watch: Watch) -> str:
     before = [push for push in watch.judged if push not in after]
     if not (repair.effects and before and after):
         return ""
-    return f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}."
+    effects = " and ".join(repair.effects)
+    return f"Before, {_errors(before)}; with {effects}, {_errors(after)}."
 
 
 def _finding(finding: Finding, *, asks: bool) -> str:
     """What one finding says; `asks` is whether the pushes after it were chosen to find out more."""
-    did = _DID[finding.action].format(effects=_names(finding.effects))
+    did = _DID[finding.action].format(effects=" and ".join(finding.effects))
     if not asks and finding.action == "pushes on":
         did = _DID["goes on without"]
     from slipmap.diagrams.systems.diagnosis import CLOSE, FAILED, TRIED
@@ -555,7 +552,3 @@ def _errors(judged: Sequence[Judged]) -> str:
         f"{counted(len(judged))} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved"
         " the object"
     )
-
-
-def _names(effects: Sequence[str]) -> str:
-    return " and ".join(effects)
