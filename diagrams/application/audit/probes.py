@@ -337,7 +337,8 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
 
     def add(key: Key, value: float, uncertainty: float, sentence: str, effect: str | None = None) -> None:
         title, tolerance, unit = _KINDS[key]
-        found.append(Measure(key, title, value, uncertainty, tolerance, unit, sentence, effect))
+        numbers = float(value), float(uncertainty)
+        found.append(Measure(key, title, *numbers, tolerance, unit, sentence, effect))
 
     shape, finer = full.law.harmonics, half.law.harmonics
     pyramid, grain = shape.pyramid, shape.grain
@@ -346,7 +347,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     add("factor", factor,
         float(np.linalg.norm([factor - factor_half, *full.steady_unsure, guess, grain**2])),
         f"Friction is {1 + factor:.3f} times the value from the coefficient, at any speed.")  # fmt: skip
-    rise, rise_half = (float(answers.steady[-1] / answers.steady[0] - 1) for answers in (full, half))
+    rise, rise_half = (answers.steady[-1] / answers.steady[0] - 1 for answers in (full, half))
     add("speed", rise, float(np.linalg.norm([rise - rise_half, *full.steady_unsure[[0, -1]]])),
         f"From {STEADY_SPEEDS[0]:g} to {STEADY_SPEEDS[-1]:g} m/s, friction changes by {_percent(rise)}, from"
         f" {full.steady[0]:.3f} to {full.steady[-1]:.3f} times Coulomb's.",
@@ -355,32 +356,32 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     corner = 1 + pyramid.share * ((np.sqrt(2) if pyramid.kind == "square" else np.sqrt(0.5)) - 1)
     # An elliptic grain has a fourth harmonic, too, of about the square of the grain.
     add(pyramid.kind, pyramid.share,
-        float(np.hypot(pyramid.share - finer.pyramid.share, grain**2)) if same_kind else pyramid.share,
+        np.hypot(pyramid.share - finer.pyramid.share, grain**2) if same_kind else pyramid.share,
         f"{_PYRAMIDS[pyramid.kind]}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
         f"friction_{pyramid.kind}")  # fmt: skip
     owner = "object" if full.law.of_object else "table"
-    add("grain", grain, float(np.hypot(shape.along_unsure, grain - finer.grain)),
+    add("grain", grain, np.hypot(shape.along_unsure, grain - finer.grain),
         f"Friction along and across one direction of the {owner} is {_percent(grain)} above and below its"
         " mean.",
         f"anisotropic_{owner}")  # fmt: skip
     lean, finer_lean = np.degrees(shape.leaning), np.degrees(finer.leaning)
     everywhere = abs(np.degrees(np.arctan(shape.lean))) > 0.5 * abs(lean)
-    add("lean", float(lean), float(np.hypot(np.degrees(shape.lean_unsure), abs(lean) - abs(finer_lean))),
+    add("lean", lean, np.hypot(np.degrees(shape.lean_unsure), abs(lean) - abs(finer_lean)),
         f"Friction leans off the line of motion by {'' if everywhere else 'up to '}{abs(lean):.1f}°"
         + (f", {'counter-' if lean > 0 else ''}clockwise in every direction." if everywhere
            else ", which no grain explains."),
         None if everywhere else "impulse_friction")  # fmt: skip
-    force, change = _size(shape.force), _size(shape.force - finer.force)
-    add("force", force, float(np.hypot(shape.force_unsure, change)),
+    force, change = np.hypot(*shape.force), np.hypot(*(shape.force - finer.force))
+    add("force", force, np.hypot(shape.force_unsure, change),
         f"A constant force of {_percent(force)} of friction pulls the object in the direction"
         f" {_degrees(shape.force):.0f}°, as if the table sloped by {np.degrees(np.arctan(MU * force)):.2g}°.",
         "table_tilt")  # fmt: skip
-    place, change = _size(full.by_place), _size(full.by_place - half.by_place)
-    add("place", place, float(np.hypot(shape.scatter, change)),
+    place, change = np.hypot(*full.by_place), np.hypot(*(full.by_place - half.by_place))
+    add("place", place, np.hypot(shape.scatter, change),
         f"Friction rises by {_percent(place)} per {APART:g} m in the direction"
         f" {_degrees(full.by_place):.0f}°.", "table_friction_field")  # fmt: skip
-    torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
-    spin, unsure = _mean(full.spin), _spread(full.spin, half.spin)
+    torsion, torsion_unsure = full.slow_spin.mean(), _spread(full.slow_spin, half.slow_spin)
+    spin, unsure = full.spin.mean(), _spread(full.spin, half.spin)
     # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
     felt = abs(torsion) > max(_KINDS["torsion"][1], _SURE * torsion_unsure)
     has_torsion = felt and (spin - 1) / torsion > 0.5 and pyramid.share < max(0.05, 2 * grain**2)
@@ -392,7 +393,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     add("load_follows_slip", excess, unsure,
         f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
         f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load")  # fmt: skip
-    creep, creep_half = (1e3 * float(answers.creep.max()) for answers in (full, half))
+    creep, creep_half = (1e3 * answers.creep.max() for answers in (full, half))
     add("creep", creep, abs(creep - creep_half),
         f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
         f" {creep:.2g} mm/s.")  # fmt: skip
@@ -412,14 +413,6 @@ def _factor(answers: Answers) -> tuple[float, float]:
     guess = STEADY_SPEEDS[0] * rise
     excess = np.append(level, level[0] - guess) - 1
     return float(max(excess.min(), 0.0) + min(excess.max(), 0.0)), float(guess)
-
-
-def _mean(values: FloatArray) -> float:
-    return float(np.mean(values))
-
-
-def _size(vector: FloatArray) -> float:
-    return float(np.hypot(*vector))
 
 
 def _degrees(vector: FloatArray) -> float:

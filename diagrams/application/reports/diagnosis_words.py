@@ -520,9 +520,8 @@ def _fall_of_error(repair: Repair, watch: Watch) -> str:
 
 def _finding(finding: Finding, *, asks: bool) -> str:
     """What one finding says; `asks` is whether the pushes after it were chosen to find out more."""
-    did = _DID[finding.action].format(effects=" and ".join(finding.effects))
-    if not asks and finding.action == "pushes on":
-        did = _DID["goes on without"]
+    action = "goes on without" if finding.action == "pushes on" and not asks else finding.action
+    did = _DID[action].format(effects=" and ".join(finding.effects))
     from slipmap.diagrams.systems.diagnosis import CLOSE, FAILED, TRIED
 
     looked = "" if finding.verdict in (FAILED, TRIED, CLOSE) else ", diagnosis"
