@@ -7,14 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from slipmap.diagrams.application.audit.engines import EngineScene
-from slipmap.diagrams.application.bullet_bodies import (
-    FEET,
-    FOOT,
-    MARGIN,
-    SINK,
-    TABLE,
-    BulletScene,
-)
+from slipmap.diagrams.application.bullet_bodies import FEET, FOOT, MARGIN, SINK, TABLE, BulletScene
 from slipmap.models.physics.cell_grid import FloatArray
 
 _HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table

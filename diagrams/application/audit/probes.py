@@ -15,15 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slipmap.diagrams.application.audit.engines import (
-    GRAVITY,
-    LEVEL,
-    MU,
-    REST,
-    Laid,
-    Subject,
-    plain_scene,
-)
+from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, REST, Laid, Subject, plain_scene
 from slipmap.diagrams.application.audit.law import (
     DIRECTIONS,
     EARLY,

@@ -110,10 +110,7 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.
         count = max(map(len, curves[name].values()))
         tables.append(experiments.TableText(f"{title}: {name}, {count} trials", columns, rows))
     return experiments.Summary(
-        tables,
-        remark,
-        {"curves": means, "unit": "m"},
-        lambda: [figures.curves_figure(title, means)],
+        tables, remark, {"curves": means, "unit": "m"}, lambda: [figures.curves_figure(title, means)]
     )
 
 

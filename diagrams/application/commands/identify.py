@@ -71,9 +71,7 @@ class _Learning(NamedTuple):
     help="How to find the maps; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
 )
 @click.option(
-    "--plain",
-    is_flag=True,
-    help="Consider Coulomb's law of friction only, which takes a third of the time.",
+    "--plain", is_flag=True, help="Consider Coulomb's law of friction only, which takes a third of the time."
 )
 @options.hypotheses_option
 @options.seed_option
@@ -104,10 +102,7 @@ def identify(dataset: Path, method: str, plain: bool, fit_pushes: int | None, wa
 
 
 def _learned(
-    dataset: Path,
-    wanted: _Learning,
-    learn: Callable[..., Identification],
-    fit_pushes: int | None = None,
+    dataset: Path, wanted: _Learning, learn: Callable[..., Identification], fit_pushes: int | None = None
 ) -> tuple[Identification, PushDataset, list[Path]]:
     """Learn from a dataset, write and show the result; returns it with the dataset and its pictures."""
     with Progress() as progress:

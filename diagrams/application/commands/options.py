@@ -219,12 +219,7 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
 
 
 def load_dataset(
-    path: Path,
-    object_name: str | None,
-    progress: Progress,
-    maps: Path | None = None,
-    *,
-    named: bool = False,
+    path: Path, object_name: str | None, progress: Progress, maps: Path | None = None, *, named: bool = False
 ) -> PushDataset:
     """Read a dataset with progress, and print warnings about it.
 

@@ -92,11 +92,7 @@ def joint_report(
         sentence = next(effect.sentence for effect in effects if effect.name == name)
         body = f"<p>{escape(sentence)}</p>"
         if own:
-            body += table(
-                phrases.PARAMETERS,
-                parameter_rows(effects, own),
-                numbers=(1, 2),
-            )
+            body += table(phrases.PARAMETERS, parameter_rows(effects, own), numbers=(1, 2))
             body += picture(alone_figure(diagnosis.datasets, own), "Parameters from each dataset alone")
             body += '<p class="note">Dots and lines: from each dataset alone, with 90 % intervals. Band: from'
             body += " all datasets together.</p>"

@@ -26,13 +26,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
-from slipmap.models.inference.diagnosis.verdict_rules import (
-    LEVEL,
-    QUICK_GAIN,
-    ROUGH,
-    SHRUNK,
-    far_above_noise,
-)
+from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH, SHRUNK, far_above_noise
 from slipmap.models.inference.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -417,12 +411,7 @@ def errors_of_beliefs(found: JointIdentification) -> str:
     )
 
 
-_TURNS = (
-    "better",
-    "better by likelihood, though the ends are as far off,",
-    "worse",
-    "hardly differently",
-)
+_TURNS = ("better", "better by likelihood, though the ends are as far off,", "worse", "hardly differently")
 
 _AS_FAR = 0.98
 """Share of the error at the end above which it counts as unchanged."""
