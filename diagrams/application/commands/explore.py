@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import lock_folder, make_folder
+from slipmap.diagrams.application.outputs import take_folder
 from slipmap.diagrams.application.terminal import counted, note, paragraph, table
 from slipmap.models.files import BadInput, together, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
@@ -149,11 +149,9 @@ def _explore(
     from slipmap.diagrams.loops import exploration_run
     from slipmap.diagrams.loops.run_folder import ExplorationFolder
 
-    make_folder(cell.folder)
-    lock_folder(cell.folder)
+    take_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resumes else None)
-    cell.check_outputs(json_file)
-    cell_run.tell_replaced(record, cell.folder)
+    cell.check_outputs(record, json_file)
     if before is not None and not resumes:
         record.keep(before)
     failure, stopped = "", False
@@ -256,11 +254,9 @@ def pregrasp(
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known for simulated objects only; choose another method")
-    make_folder(cell.folder)
-    lock_folder(cell.folder)
+    take_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario, repeatable=not cell.hardware)
-    cell.check_outputs(json_file)
-    cell_run.tell_replaced(record, cell.folder)
+    cell.check_outputs(record, json_file)
     try:
         with cell.in_view() as (meshcat, progress):
             run = pregrasp_loop.pregrasp(

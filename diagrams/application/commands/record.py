@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import check_folder, check_output, lock_folder, make_folder
+from slipmap.diagrams.application.outputs import check_folder, check_output, take_folder
 from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, prepare_kernels, status
 from slipmap.models.files import BadInput, together, write_json, writing
 
@@ -109,8 +109,7 @@ def replay(
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
     scenario = cell_run.scenario_of(scenario_file, None)
-    make_folder(folder)
-    lock_folder(folder)
+    take_folder(folder)
     refuse_robots_pushes(folder, "--output")
     if json_file is not None:
         check_output(json_file)

@@ -24,7 +24,7 @@ import click
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
-from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
+from slipmap.diagrams.application.outputs import take_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, prepare_kernels, table
 from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
 from slipmap.models.files import PART, BadInput, remove_part, together, write_json, write_text
@@ -64,8 +64,7 @@ def explore_study(
     from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
 
     names = tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
-    make_folder(folder)
-    lock_folder(folder)
+    take_folder(folder)
     prepare_kernels()
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     for name in names:
@@ -262,8 +261,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     in DIR are kept, so a stopped run continues; only failures are tried again. Writes score.md and
     score.json. A dataset takes about half a minute to simulate.
     """
-    make_folder(output)
-    lock_folder(output)
+    take_folder(output)
     prepare_kernels()
     cases = [_Case(output, number) for number in range(seed, seed + count)]
     waiting = [case for case in cases if not case.result.exists()]
@@ -444,8 +442,7 @@ def campaign(
     chosen = experiment_of(experiment)
     names = _checked(object_names or chosen.objects)
     files = folder / f"{experiment}-{truth}"
-    make_folder(files)
-    lock_folder(files)
+    take_folder(files)
     prepare_kernels()
     try:
         specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
