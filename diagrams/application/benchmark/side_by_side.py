@@ -42,7 +42,7 @@ def run_benchmark(
         A JSON-serialisable dict: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
         first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `_time_rollouts`;
         `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
-        results of `growth.measure`.
+        results of `scene.measure`.
     """
     report = progress or silent
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
