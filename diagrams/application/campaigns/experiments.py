@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+from slipmap.models.files import BadInput
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -98,12 +100,12 @@ class Experiment:
             truth: one of `worlds.TRUTHS`.
 
         Raises:
-            CampaignError: a truth that the experiment cannot have.
+            BadInput: a truth that the experiment cannot have.
         """
-        from slipmap.diagrams.application.campaigns.trials import CampaignError, TrialSpec
+        from slipmap.diagrams.application.campaigns.trials import TrialSpec
 
         if self.plant_alone and truth != "plant":
-            raise CampaignError(f"{self.name}: only plant simulates {self.plant_alone}; leave out --truth")
+            raise BadInput(f"{self.name}: only plant simulates {self.plant_alone}; leave out --truth")
         fixed = {} if self.plant_alone else {"truth": truth}
         variants = [dict(zip(self.varied, values, strict=True)) for values in product(*self.varied.values())]
 

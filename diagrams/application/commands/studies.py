@@ -433,7 +433,7 @@ def campaign(
     """
     from joblib import cpu_count
 
-    from slipmap.diagrams.application.campaigns.trials import CampaignError, run_trials
+    from slipmap.diagrams.application.campaigns.trials import run_trials
 
     if scheduler is not None and backend != "dask":
         raise BadInput("--scheduler is for --backend dask alone; add that, or leave --scheduler out")
@@ -444,21 +444,18 @@ def campaign(
     files = folder / f"{experiment}-{truth}"
     take_folder(files)
     prepare_kernels()
-    try:
-        specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
-        if truth == "bullet" and find_spec("pybullet") is None:
-            raise BadInput("Bullet is not installed; install it with `pip install 'slipmap[bench]'`")
-        with Progress() as progress:
-            outcomes = run_trials(
-                specs,
-                files,
-                backend=backend,
-                workers=workers or cpu_count(),
-                scheduler=scheduler,
-                progress=lambda done, total: progress(f"{experiment}, trials", done, total),
-            )
-    except CampaignError as error:
-        raise BadInput(str(error)) from error
+    specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
+    if truth == "bullet" and find_spec("pybullet") is None:
+        raise BadInput("Bullet is not installed; install it with `pip install 'slipmap[bench]'`")
+    with Progress() as progress:
+        outcomes = run_trials(
+            specs,
+            files,
+            backend=backend,
+            workers=workers or cpu_count(),
+            scheduler=scheduler,
+            progress=lambda done, total: progress(f"{experiment}, trials", done, total),
+        )
     summary = chosen.summary(outcomes)
     picture = folder / f"{experiment}-{truth}.png"
     document = summary.document | {
