@@ -97,7 +97,7 @@ class Experiment:
 
         Args:
             trials: of each object and variant.
-            truth: one of `worlds.TRUTHS`.
+            truth: as in `worlds.world_of`.
 
         Raises:
             BadInput: a truth that the experiment cannot have.

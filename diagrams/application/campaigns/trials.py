@@ -154,8 +154,6 @@ def run_trials(
     """
     if len({spec.name for spec in specs}) < len(specs):
         raise BadInput("two trials of the campaign have the same name")
-    if workers < 1:
-        raise BadInput(f"a campaign needs at least one worker, got {workers}")
     done: dict[str, TrialOutcome] = {}
     for spec in specs:
         outcome = read_outcome(spec, folder)

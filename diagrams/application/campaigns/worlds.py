@@ -239,7 +239,6 @@ def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:
     return np.array([pose[0], pose[1], pose[2] + 2 * np.pi * turns])
 
 
-TRUTHS = ("plant", "bullet")  # Drake's MultibodyPlant, and Bullet, which needs the `bench` extra
 _MOST_PUSHES = 5  # for identifying an object, as in the paper
 
 
@@ -247,20 +246,21 @@ _MOST_PUSHES = 5  # for identifying an object, as in the paper
 def world_of(truth: str, object_name: str) -> DirectWorld:
     """The world of one of the paper's objects on the paper's table, with the usual noise.
 
+    Args:
+        truth: `plant`, Drake's MultibodyPlant, or `bullet`.
+
     Raises:
-        ValueError: an unknown truth or object.
-        ModuleNotFoundError: Bullet is not installed.
+        ValueError: an unknown object.
+        ModuleNotFoundError: Bullet, of the extra `bench`, is not installed.
     """
     thing = benchmark_object(object_name)
-    if truth == "plant":
-        from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-
-        return PlantWorld(thing)
     if truth == "bullet":
         from slipmap.diagrams.application.campaigns.bullet_world import BulletWorld
 
         return BulletWorld(thing)
-    raise ValueError(f"unknown truth {truth!r}; choose one of {', '.join(TRUTHS)}")
+    from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
+
+    return PlantWorld(thing)
 
 
 def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial] = ()) -> PushDataset:

@@ -186,7 +186,7 @@ def _explore(
 
 
 def _ended(error: Exception, record: RunFolder) -> click.Abort | click.ClickException:
-    """What ends a command whose run recorded nothing; Ctrl-C leaves no file."""
+    """The exception that ends a command whose run recorded nothing; after Ctrl-C, no file is left."""
     from slipmap.diagrams.loops.exploration_run import ExplorationStopped
 
     if not isinstance(error, ExplorationStopped):

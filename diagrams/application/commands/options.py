@@ -40,7 +40,7 @@ class OutputFile(click.ParamType):
 
 
 def bundled(name: str, kind: Any) -> Option:
-    """Passes options to a command as one argument: the NamedTuple `kind` of their values, called `name`."""
+    """Pass the options that are fields of the NamedTuple `kind` to a command as one argument `name`."""
 
     def decorate(command: Any) -> Any:
         @wraps(command)

@@ -1,6 +1,6 @@
-"""Diagnoses of one dataset or several, in words and tables for terminal and report; those of a running robot.
+"""Diagnoses in words and tables, for terminal and report: of one dataset, of several, and of a running robot.
 
-Words about a robot load Drake only when they are asked for.
+Drake is imported only for words about a robot.
 """
 
 from __future__ import annotations
