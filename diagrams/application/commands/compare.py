@@ -197,10 +197,10 @@ def _compare_together(datasets: Sequence[Path], effects: Sequence[Effect], wante
 
 def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
     trials = [{**push.to_json(), "predicted_end_hypotheses": push.hypotheses[:, -1]} for push in pushes]
-    means = {
-        f"{role}_error_mean": sum(push.final_add for push in group) / len(group) if group else None
-        for role, group in ((role, [p for p in pushes if p.role == role]) for role in ("fit", "heldout"))
-    }
+    means = {}
+    for role in ("fit", "heldout"):
+        errors = [push.final_add for push in pushes if push.role == role]
+        means[f"{role}_error_mean"] = sum(errors) / len(errors) if errors else None
     return {
         "dataset": dataset,
         "belief_dataset": belief.dataset,
