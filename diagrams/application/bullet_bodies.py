@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Sequence
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -40,32 +42,48 @@ def import_bullet() -> ModuleType:
     return pybullet
 
 
+class BulletClient:
+    """A simulation of pybullet, with the functions of the module for itself alone, and the constants.
+
+    Unlike the client in `pybullet_utils`, it writes no line to standard output.
+
+    Raises:
+        ModuleNotFoundError: pybullet is not installed.
+    """
+
+    def __init__(self) -> None:
+        self._module = import_bullet()
+        self._client = self._module.connect(self._module.DIRECT)
+        weakref.finalize(self, self._module.disconnect, self._client)
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._module, name)
+        return partial(found, physicsClientId=self._client) if callable(found) else found
+
+
 class BulletScene:
-    """A client of pybullet with an object on feet and a finger.
+    """A simulation of an object on feet and a finger.
 
     Args:
-        p: the module pybullet.
         gravity: (3,) m/s².
         dt: time step, s.
         cone: whether friction is limited by a cone; otherwise along two axes independently.
         iterations: of the solver.
+
+    Raises:
+        ModuleNotFoundError: pybullet is not installed.
     """
 
-    def __init__(self, p: ModuleType, gravity: ArrayLike, dt: float, cone: bool, iterations: int) -> None:
-        self.p, self.where = p, {"physicsClientId": p.connect(p.DIRECT)}
-        p.setGravity(*np.asarray(gravity), **self.where)
-        p.setTimeStep(dt, **self.where)
-        p.setPhysicsEngineParameter(
-            enableConeFriction=int(cone), numSolverIterations=iterations, **self.where
-        )
-
-    def __del__(self) -> None:
-        self.p.disconnect(**self.where)
+    def __init__(self, gravity: ArrayLike, dt: float, cone: bool, iterations: int) -> None:
+        self.p = BulletClient()
+        self.p.setGravity(*np.asarray(gravity))
+        self.p.setTimeStep(dt)
+        self.p.setPhysicsEngineParameter(enableConeFriction=int(cone), numSolverIterations=iterations)
 
     def prism(self, ring: FloatArray, top: float) -> int:
         """A shape with a convex base (k, 2) just above the table and a top at a height (m)."""
         corners = [[*corner, z] for z in (CLEARANCE + MARGIN, top) for corner in ring]
-        return int(self.p.createCollisionShape(self.p.GEOM_MESH, vertices=corners, **self.where))
+        return int(self.p.createCollisionShape(self.p.GEOM_MESH, vertices=corners))
 
     def add_object(
         self,
@@ -90,8 +108,7 @@ class BulletScene:
             turn: quaternion of all these frames in it, real part last.
             stops: collision groups of what the sides touch.
         """
-        p, where = self.p, self.where
-        mass, moments = inertia
+        p, (mass, moments) = self.p, inertia
         shapes = [shape for shape, _, _ in feet] + list(sides)
         count, here = len(shapes), [0.0, 0.0, 0.0]
         body = p.createMultiBody(
@@ -99,52 +116,49 @@ class BulletScene:
             linkVisualShapeIndices=[-1] * count, linkPositions=places, linkOrientations=[turn] * count,
             linkInertialFramePositions=[here] * count, linkInertialFrameOrientations=[LEVEL] * count,
             linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
-            linkJointAxis=[[0, 0, 1]] * count, **where,
+            linkJointAxis=[[0, 0, 1]] * count
         )  # fmt: skip
-        p.changeDynamics(
-            body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=moments.tolist(), **where
-        )
+        p.changeDynamics(body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=moments.tolist())
         for link, (_, load, mu) in enumerate(feet):
             stiffness = load * 9.81 / SINK
             damping = 2 * np.sqrt(stiffness * load)
             p.changeDynamics(
-                body, link, lateralFriction=mu, contactStiffness=stiffness, contactDamping=damping, **where
+                body, link, lateralFriction=mu, contactStiffness=stiffness, contactDamping=damping
             )
-            p.setCollisionFilterGroupMask(body, link, FEET, TABLE, **where)
+            p.setCollisionFilterGroupMask(body, link, FEET, TABLE)
         for link in range(len(feet), count):
             # The sides hang just above the table: only real contacts count.
-            p.changeDynamics(body, link, lateralFriction=mu_finger, contactProcessingThreshold=0.0, **where)
-            p.setCollisionFilterGroupMask(body, link, SIDES, stops, **where)
+            p.changeDynamics(body, link, lateralFriction=mu_finger, contactProcessingThreshold=0.0)
+            p.setCollisionFilterGroupMask(body, link, SIDES, stops)
         return int(body)
 
     def add_finger(self, shape: int, height: float) -> None:
         """Add a finger with a shape and its frame at a height (m), on rails along x and y."""
-        p, where, here = self.p, self.where, [[0.0, 0.0, 0.0]] * 2
+        p, here = self.p, [[0.0, 0.0, 0.0]] * 2
         finger = p.createMultiBody(
             0, -1, basePosition=[0, 0, height], linkMasses=[_FINGER_MASS] * 2,
             linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
             linkOrientations=[LEVEL] * 2, linkInertialFramePositions=here,
             linkInertialFrameOrientations=[LEVEL] * 2, linkParentIndices=[0, 1],
-            linkJointTypes=[p.JOINT_PRISMATIC] * 2, linkJointAxis=np.eye(3)[:2].tolist(), **where,
+            linkJointTypes=[p.JOINT_PRISMATIC] * 2, linkJointAxis=np.eye(3)[:2].tolist()
         )  # fmt: skip
-        p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
+        p.changeDynamics(finger, 1, lateralFriction=1.0)
         for link in (-1, 0, 1):
-            p.setCollisionFilterGroupMask(finger, link, FINGER if link == 1 else 0, SIDES, **where)
+            p.setCollisionFilterGroupMask(finger, link, FINGER if link == 1 else 0, SIDES)
         self._finger = int(finger)
 
     def put_finger(self, place: FloatArray, speed: FloatArray | None = None) -> None:
         """Place the finger at (2,) m, at rest or with a velocity (2,) m/s."""
         for joint in (0, 1):
             moving = 0.0 if speed is None else float(speed[joint])
-            self.p.resetJointState(self._finger, joint, float(place[joint]), moving, **self.where)
+            self.p.resetJointState(self._finger, joint, float(place[joint]), moving)
 
     def finger_states(self) -> list[Sequence[Any]]:
         """What pybullet tells about the finger's two joints; the force of their motors is that of contact."""
-        return list(self.p.getJointStates(self._finger, [0, 1], **self.where))
+        return list(self.p.getJointStates(self._finger, [0, 1]))
 
     def drive(self, speed: FloatArray) -> None:
         """Let its motors drive the finger at a velocity (2,) m/s in the next time step."""
         self.p.setJointMotorControlArray(
-            self._finger, [0, 1], self.p.VELOCITY_CONTROL, targetVelocities=speed.tolist(), forces=_MOTOR,
-            **self.where,
+            self._finger, [0, 1], self.p.VELOCITY_CONTROL, targetVelocities=speed.tolist(), forces=_MOTOR
         )  # fmt: skip

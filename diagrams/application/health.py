@@ -56,8 +56,10 @@ def examine(attempt: Try | None = None) -> Iterator[Finding]:
     yield from _packages()
     for module in IMPORTS:
         yield _import(module, attempt)
-    yield _renderer(attempt)
-    yield _compiler(attempt)
+    renderer, remedy = "camera's renderer (EGL)", _apt(*RENDERING_PACKAGES)
+    yield _tried(renderer, attempt(RENDER), remedy, "the test picture is correct")
+    remedy = f"{sys.executable} -m pip install --force-reinstall numba llvmlite"
+    yield _tried("compiler (numba)", attempt(_COMPILE), remedy)
     yield _cache()
     yield _disk()
     yield _cores()
@@ -111,20 +113,13 @@ def _required() -> list[str]:
 def _import(module: str, attempt: Try) -> Finding:
     failure = attempt(f"import {module}")
     package = package_for(failure or "")
-    remedy = f"sudo apt-get install {package}" if package else "make install, and read its output"
-    return _finding(f"import {module}", failure is None, failure or "works", remedy)
+    remedy = _apt(package) if package else "make install, and read its output"
+    return _tried(f"import {module}", failure, remedy)
 
 
-def _renderer(attempt: Try) -> Finding:
-    failure = attempt(RENDER)
-    found = failure or "the test picture is correct"
-    return _finding("camera's renderer (EGL)", failure is None, found, _apt(*RENDERING_PACKAGES))
-
-
-def _compiler(attempt: Try) -> Finding:
-    failure = attempt(_COMPILE)
-    remedy = f"{sys.executable} -m pip install --force-reinstall numba llvmlite"
-    return _finding("compiler (numba)", failure is None, failure or "works", remedy)
+def _tried(name: str, failure: str | None, remedy: str, works: str = "works") -> Finding:
+    """Finding from an attempt that failed, or not if `failure` is None."""
+    return _finding(name, failure is None, failure or works, remedy)
 
 
 def _cache() -> Finding:

@@ -68,6 +68,12 @@ def make_folder(folder: Path) -> None:
     check_folder(folder, folder)
 
 
+def take_folder(folder: Path) -> None:
+    """Make a folder for results, and lock it. Raises BadInput as `make_folder` and `lock_folder` do."""
+    make_folder(folder)
+    lock_folder(folder)
+
+
 def lock_folder(folder: Path) -> None:
     """Lock a folder for this command until it ends, so that no other command writes a run there.
 

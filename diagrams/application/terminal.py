@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
-from types import TracebackType
 
 import click
 
@@ -68,6 +67,12 @@ def warnings_noted(worded: Callable[[str], str] = str) -> Iterator[None]:
     for text in dict.fromkeys(str(one.message) for one in found if one.category is UserWarning):
         note(f"warning: {worded(text)}")
         warnings.filterwarnings("ignore", re.escape(text), UserWarning)
+
+
+def counted(count: int, what: str = "push") -> str:
+    """A number of things, such as `1 push` or `3 pushes`."""
+    ending = "es" if what.endswith("sh") else "s"
+    return f"{count} {what}{'' if count == 1 else ending}"
 
 
 def wait_for_enter() -> None:
@@ -124,9 +129,7 @@ class Progress:
             self._bars = _Bars()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *details: object) -> None:
         self._finish(complete=kind is None)
         if self._bars is not None:
             self._bars.stop()

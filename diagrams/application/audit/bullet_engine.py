@@ -7,18 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from slipmap.diagrams.application.audit.engines import EngineScene
-from slipmap.diagrams.application.bullet_bodies import (
-    FEET,
-    FOOT,
-    MARGIN,
-    SINK,
-    TABLE,
-    BulletScene,
-    import_bullet,
-)
+from slipmap.diagrams.application.bullet_bodies import FEET, FOOT, MARGIN, SINK, TABLE, BulletScene
 from slipmap.models.physics.cell_grid import FloatArray
-
-p = import_bullet()
 
 _HEIGHT = 2e-3  # m, of the object's centre of mass and of the finger's centre above the table
 _SIDE = 0.02  # m, height of the sides
@@ -32,24 +22,25 @@ class BulletEngine:
     iterations: ClassVar[int] = 50
 
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
-        self._bullet = BulletScene(p, gravity, self.dt, self.cone, self.iterations)
-        self._where = self._bullet.where
-        plane = p.createMultiBody(0, p.createCollisionShape(p.GEOM_PLANE, **self._where), **self._where)
-        p.changeDynamics(plane, -1, lateralFriction=1.0, **self._where)
-        p.setCollisionFilterGroupMask(plane, -1, TABLE, FEET, **self._where)
+        self._bullet = BulletScene(gravity, self.dt, self.cone, self.iterations)
+        self._p = p = self._bullet.p
+        plane = p.createMultiBody(0, p.createCollisionShape(p.GEOM_PLANE))
+        p.changeDynamics(plane, -1, lateralFriction=1.0)
+        p.setCollisionFilterGroupMask(plane, -1, TABLE, FEET)
         self._center = np.array([*scene.center_of_mass, _HEIGHT])
         self._object = self._add_object(scene)
-        shape = p.createCollisionShape(p.GEOM_SPHERE, radius=scene.finger_radius, **self._where)
+        shape = p.createCollisionShape(p.GEOM_SPHERE, radius=scene.finger_radius)
         self._bullet.add_finger(shape, _HEIGHT)
 
     def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
         """See `Engine`."""
+        p = self._p
         turn = p.getQuaternionFromEuler([0, 0, float(pose[2])])
         place, turn = p.multiplyTransforms([*pose[:2], -SINK], turn, self._center.tolist(), [0, 0, 0, 1])
-        p.resetBasePositionAndOrientation(self._object, place, turn, **self._where)
+        p.resetBasePositionAndOrientation(self._object, place, turn)
         vx, vy, omega = velocity
         x, y = np.array(place)[:2] - pose[:2]
-        p.resetBaseVelocity(self._object, [vx - omega * y, vy + omega * x, 0], [0, 0, omega], **self._where)
+        p.resetBaseVelocity(self._object, [vx - omega * y, vy + omega * x, 0], [0, 0, omega])
         self._bullet.put_finger(tip)
 
     def step(
@@ -59,19 +50,20 @@ class BulletEngine:
         speed = (next_tip - tip) / self.dt
         self._bullet.put_finger(tip, speed)
         self._bullet.drive(speed)
-        p.stepSimulation(**self._where)
+        self._p.stepSimulation()
         return np.array([state[3] for state in self._bullet.finger_states()])
 
     def pose(self) -> FloatArray:
         """See `Engine`."""
-        place, turn = p.getBasePositionAndOrientation(self._object, **self._where)
+        p = self._p
+        place, turn = p.getBasePositionAndOrientation(self._object)
         place, turn = p.multiplyTransforms(place, turn, (-self._center).tolist(), [0, 0, 0, 1])
         return np.array([*place[:2], 2 * np.arctan2(turn[2], turn[3])])
 
     def _add_object(self, scene: EngineScene) -> int:
-        where, centers = self._where, scene.grid.centers
+        p, centers = self._p, scene.grid.centers
         feet = [
-            (p.createCollisionShape(p.GEOM_SPHERE, radius=FOOT, **where), mass, mu)
+            (p.createCollisionShape(p.GEOM_SPHERE, radius=FOOT), mass, mu)
             for mass, mu in zip(scene.mass, scene.mu, strict=True)
         ]
         sides = [

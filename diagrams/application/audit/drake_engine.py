@@ -17,12 +17,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import (
-    AddMultibodyPlant,
-    CoulombFriction,
-    MultibodyPlant,
-    MultibodyPlantConfig,
-)
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import PrismaticJoint, RotationalInertia, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -38,6 +33,7 @@ _SIDE = 0.02  # m, height of the sides
 _TABLE_FRICTION, _FINGER_FRICTION = 10.0, 10.0
 
 _DISSIPATION = 20.0  # s/m
+_RIGID = 1e9  # N/m, so that the other body determines the stiffness of a contact
 _FINGER_MASS = 1e3  # kg; nothing in the scene moves it
 _PLATE = 1e-3  # m, thickness of a cell's plate in hydroelastic contact
 _MODULUS = 1e6  # Pa
@@ -50,9 +46,8 @@ class DrakeEngine:
     dt: ClassVar[float] = 2e-3
     approximation: ClassVar[str] = "lagged"  # of contact, Drake's default
     hydroelastic: ClassVar[bool] = False  # a soft plate per cell instead of feet
-    stiction: ClassVar[float] = (
-        1e-5  # m/s, below which friction lets an object creep; Drake's default is 1e-3
-    )
+    # m/s, below which friction lets an object creep; Drake's default is 1e-3
+    stiction: ClassVar[float] = 1e-5
 
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
         builder = DiagramBuilder()
@@ -64,8 +59,7 @@ class DrakeEngine:
         )
         plant, scene_graph = AddMultibodyPlant(config, builder)
         plant.mutable_gravity_field().set_gravity_vector(gravity)
-        table = ProximityProperties()
-        _contact(table, _TABLE_FRICTION, None)
+        table = _contact(_TABLE_FRICTION)
         if self.hydroelastic:
             AddRigidHydroelasticProperties(20.0, table)
         # A half space would do, but Drake warns about it.
@@ -132,25 +126,22 @@ class DrakeEngine:
         for cell, (place, weight, mu) in enumerate(
             zip(scene.grid.centers, 9.81 * scene.mass, scene.mu, strict=True)
         ):
-            properties = ProximityProperties()
             # Drake combines two coefficients to 2 μ₁ μ₂ / (μ₁ + μ₂).
             friction = mu * _TABLE_FRICTION / (2 * _TABLE_FRICTION - mu)
             if self.hydroelastic:
-                _contact(properties, friction, None)
+                properties = _contact(friction)
                 modulus = weight / scene.grid.width**2 * _PLATE / self._sink
                 AddCompliantHydroelasticProperties(_RESOLUTION, modulus, properties)
                 shape, z = Box(scene.grid.width, scene.grid.width, _PLATE), _PLATE / 2
             else:
-                _contact(properties, friction, weight / _SINK)
+                properties = _contact(friction, weight / _SINK)
                 shape, z = Sphere(_FOOT), _FOOT
             self._feet.append(
                 plant.RegisterCollisionGeometry(
                     body, RigidTransform([*place, z]), shape, f"foot {cell}", properties
                 )
             )
-        properties = ProximityProperties()
-        friction = scene.mu_finger * _FINGER_FRICTION / (2 * _FINGER_FRICTION - scene.mu_finger)
-        _contact(properties, friction, None)
+        properties = _contact(scene.mu_finger * _FINGER_FRICTION / (2 * _FINGER_FRICTION - scene.mu_finger))
         for k, piece in enumerate(scene.pieces):
             corners = np.array([[*corner, z] for z in (_CLEARANCE, _SIDE) for corner in piece]).T
             self._sides.append(
@@ -167,16 +158,17 @@ class DrakeEngine:
         frames = (plant.world_frame(), carriage.body_frame(), finger.body_frame())
         for name, axis, parent, child in zip("xy", np.eye(3), frames, frames[1:], strict=False):
             plant.AddJoint(PrismaticJoint(f"finger {name}", parent, child, axis))
-        properties = ProximityProperties()
-        _contact(properties, _FINGER_FRICTION, 9.81 * float(scene.mass.sum()) / 1e-5)
+        properties = _contact(_FINGER_FRICTION, 9.81 * float(scene.mass.sum()) / 1e-5)
         X_FG = RigidTransform([0, 0, _HEIGHT])
         plant.RegisterCollisionGeometry(finger, X_FG, Sphere(scene.finger_radius), "tip", properties)
         plant.set_gravity_enabled(self._instance, False)
 
 
-def _contact(properties: ProximityProperties, friction: float, stiffness: float | None) -> None:
-    """Add friction, and a stiffness in N/m unless the other body determines it."""
+def _contact(friction: float, stiffness: float = _RIGID) -> ProximityProperties:
+    """Properties with a friction, and a stiffness, N/m."""
+    properties = ProximityProperties()
     AddContactMaterial(
-        dissipation=_DISSIPATION, point_stiffness=1e9 if stiffness is None else stiffness,
-        friction=CoulombFriction(friction, friction), properties=properties,
+        dissipation=_DISSIPATION, point_stiffness=stiffness, friction=CoulombFriction(friction, friction),
+        properties=properties,
     )  # fmt: skip
+    return properties

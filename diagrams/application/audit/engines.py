@@ -424,10 +424,11 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
                 number = float(value)
             except ValueError:
                 raise BadInput(f"engine {spec}: {word} must be a number, got {value!r}") from None
-            if not 0 < number < np.inf or (word == "iterations" and number % 1):
-                kind = "whole number" if word == "iterations" else "number"
+            whole = word == "iterations"
+            if not 0 < number < np.inf or (whole and number % 1):
+                kind = "whole number" if whole else "number"
                 raise BadInput(f"engine {spec}: {word} must be a positive {kind}, got {value!r}")
-            chosen[word] = int(number) if word == "iterations" else number
+            chosen[word] = int(number) if whole else number
         else:
             known = [*engine.words, *(f"{name}=…" for name in engine.numbers)]
             raise BadInput(f"engine {spec}: there is no setting {setting!r}; there are {', '.join(known)}")

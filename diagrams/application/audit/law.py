@@ -29,12 +29,14 @@ _FINE_SPIN = 2  # steps of the law's plate per step of the engine
 _CORNER = 0.02  # share of the speed within which a pyramid's corners are round
 _SLOWEST = 1e-9  # m/s, below which motion has no direction
 
+PyramidKind = Literal["diamond", "square"]
+
 
 @dataclass(frozen=True)
 class Pyramid:
     """Degree to which friction follows a pyramid instead of a cone."""
 
-    kind: Literal["diamond", "square"]
+    kind: PyramidKind
     share: float  # 1 for a pyramid, 0 for a cone
 
 
@@ -218,14 +220,16 @@ def harmonics_of(direction: FloatArray, friction: FloatArray, dt: float, full_dt
         direction, friction: (24, 2) directions of motion and friction over μ N half-way of free slides.
         dt, full_dt: of the `Subject`, s.
     """
-    kinds: tuple[Literal["diamond", "square"], ...] = ("diamond", "square")
+
+    def misfit(share: float, kind: PyramidKind) -> float:
+        return _beside(direction, friction, Pyramid(kind, share), dt, full_dt).scatter
+
+    kinds: tuple[PyramidKind, ...] = ("diamond", "square")
     fits = []
     for kind in kinds:
-
-        def misfit(share: float, kind: Literal["diamond", "square"] = kind) -> float:
-            return _beside(direction, friction, Pyramid(kind, share), dt, full_dt).scatter
-
-        best = minimize_scalar(misfit, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3})
+        best = minimize_scalar(
+            misfit, args=(kind,), bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3}
+        )
         fits.append((float(best.fun), kind, float(best.x)))
     _, kind, share = min(fits)
     found = _beside(direction, friction, Pyramid(kind, share), dt, full_dt)

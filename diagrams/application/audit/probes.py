@@ -8,21 +8,14 @@ with gravity tilted to balance friction, where that is possible, and average ove
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from slipmap.diagrams.application.audit.engines import (
-    GRAVITY,
-    LEVEL,
-    MU,
-    REST,
-    Laid,
-    Subject,
-    plain_scene,
-)
+from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, REST, Laid, Subject, plain_scene
 from slipmap.diagrams.application.audit.law import (
     DIRECTIONS,
     EARLY,
@@ -88,62 +81,44 @@ def ask(subject: Subject, report: Report) -> Answers:
     Raises:
         BadInput: the engine fails, or ignores the tilt of gravity or the velocity at the start.
     """
-    done = 0
+    numbers = itertools.count(1)
 
-    def count() -> None:
-        nonlocal done
-        done += 1
-        report(done)
+    def done(answer: Any) -> Any:
+        report(next(numbers))
+        return answer
 
-    _check_gravity(subject)
-    count()
-    _check_velocity(subject)
-    count()
-    slides = []
-    for angle in DIRECTIONS:
-        slides.append(_free_slide(subject, angle))
-        count()
+    for check in (_check_gravity, _check_velocity):
+        check(subject)
+        done(None)
+    slides = [done(_free_slide(subject, angle)) for angle in DIRECTIONS]
     direction, friction = np.array(slides).transpose(1, 0, 2)
     harmonics = harmonics_of(direction, friction, subject.dt, subject.full_dt)
-    turned = []
-    for angle in DIRECTIONS[::3]:
-        turned.append(_free_slide(subject, angle, np.array([0.0, 0.0, _TURNED])))
-        count()
+    heading = np.array([0.0, 0.0, _TURNED])
+    turned = [done(_free_slide(subject, angle, heading)) for angle in DIRECTIONS[::3]]
     by_place = []
     for axis, angle in zip(np.eye(2), (0.0, np.pi / 2), strict=True):
-        sizes = []
-        for side in (-APART, APART):
-            sizes.append(-_free_slide(subject, angle, np.append(side * axis, 0.0))[1] @ axis)
-            count()
-        by_place.append((sizes[1] - sizes[0]) / 2)
-    steady, unsure = [], []
-    for speed in STEADY_SPEEDS:
-        both = []
-        for sense in (1.0, -1.0):
-            both.append(_steady_slide(subject, speed, sense))
-            count()
-        steady.append(np.mean(both, axis=0)[0])
-        unsure.append(np.mean(both, axis=0)[1])
+        starts = (np.append(side * axis, 0.0) for side in (-APART, APART))
+        before, beyond = (done(-_free_slide(subject, angle, start)[1] @ axis) for start in starts)
+        by_place.append((beyond - before) / 2)
+    both_ways = [[done(_steady_slide(subject, v, sense)) for sense in (1.0, -1.0)] for v in STEADY_SPEEDS]
+    steady, unsure = np.mean(both_ways, axis=1).T
     along_x = 1 + float(harmonics.along[0])
-    law = Law(harmonics, _is_of_object(harmonics, np.array(turned)), np.array(steady) / along_x)
+    law = Law(harmonics, _is_of_object(harmonics, np.array(turned)), steady / along_x)
     same = Subject("law", type("Same", (LawEngine,), {"dt": subject.dt, "law": law}), subject.full_dt)
-    spins = []
-    for number, rate in enumerate(SPINS):
-        heading = 2 * np.pi * number / len(SPINS)
-        spins.append(_spin_torque(subject, rate, heading) / _spin_torque(same, rate, heading))
-        count()
-    slow = (_slow_spin_torques(subject) - _slow_spin_torques(same)) / _spin_torque(same, SPINS[-1], 0.0)
-    count()
-    creep = []
-    for angle in _CREEP_DIRECTIONS:
-        creep.append(_creep(subject, np.array([np.cos(angle), np.sin(angle)])))
-        count()
+    headings = 2 * np.pi * np.arange(len(SPINS)) / len(SPINS)
+    spins = [
+        done(_spin_torque(subject, rate, at) / _spin_torque(same, rate, at))
+        for rate, at in zip(SPINS, headings, strict=True)
+    ]
+    slow = _slow_spin_torques(subject) - _slow_spin_torques(same)
+    slow = done(slow / _spin_torque(same, SPINS[-1], 0.0))
+    creep = [done(_creep(subject, angle)) for angle in _CREEP_DIRECTIONS]
     again = subject.lay(plain_scene())
     ends = [_turning_slide(laid)[-1, :2] for laid in (subject.lay(plain_scene()), again, again)]
-    count()
+    repeat = done(float(max(np.linalg.norm(end - ends[0]) for end in ends)))
     return Answers(
-        direction, friction, np.array(by_place), np.array(steady), np.array(unsure), law, np.array(spins),
-        slow, np.array(creep), float(max(np.linalg.norm(end - ends[0]) for end in ends)),
+        direction, friction, np.array(by_place), steady, unsure, law, np.array(spins), slow, np.array(creep),
+        repeat,
     )  # fmt: skip
 
 
@@ -283,8 +258,9 @@ def _slow_spin_torques(subject: Subject) -> FloatArray:
     return np.array(torques)
 
 
-def _creep(subject: Subject, along: FloatArray) -> float:
-    """Speed under a load that friction can hold, m/s."""
+def _creep(subject: Subject, angle: float) -> float:
+    """Speed under a load in a direction (rad) that friction can hold, m/s."""
+    along = np.array([np.cos(angle), np.sin(angle)])
     laid = subject.lay(plain_scene(), _tilted(CREEP_LOAD * MU * GRAVITY * along))
     path = laid.slide(REST, _LAID + _CREPT)
     first = round(_LAID / subject.dt)
@@ -353,7 +329,8 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
 
     def add(key: Key, value: float, uncertainty: float, sentence: str, effect: str | None = None) -> None:
         title, tolerance, unit = _KINDS[key]
-        found.append(Measure(key, title, value, uncertainty, tolerance, unit, sentence, effect))
+        numbers = float(value), float(uncertainty)
+        found.append(Measure(key, title, *numbers, tolerance, unit, sentence, effect))
 
     shape, finer = full.law.harmonics, half.law.harmonics
     pyramid, grain = shape.pyramid, shape.grain
@@ -362,7 +339,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     add("factor", factor,
         float(np.linalg.norm([factor - factor_half, *full.steady_unsure, guess, grain**2])),
         f"Friction is {1 + factor:.3f} times the value from the coefficient, at any speed.")  # fmt: skip
-    rise, rise_half = (float(answers.steady[-1] / answers.steady[0] - 1) for answers in (full, half))
+    rise, rise_half = (answers.steady[-1] / answers.steady[0] - 1 for answers in (full, half))
     add("speed", rise, float(np.linalg.norm([rise - rise_half, *full.steady_unsure[[0, -1]]])),
         f"From {STEADY_SPEEDS[0]:g} to {STEADY_SPEEDS[-1]:g} m/s, friction changes by {_percent(rise)}, from"
         f" {full.steady[0]:.3f} to {full.steady[-1]:.3f} times Coulomb's.",
@@ -371,32 +348,32 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     corner = 1 + pyramid.share * ((np.sqrt(2) if pyramid.kind == "square" else np.sqrt(0.5)) - 1)
     # An elliptic grain has a fourth harmonic, too, of about the square of the grain.
     add(pyramid.kind, pyramid.share,
-        float(np.hypot(pyramid.share - finer.pyramid.share, grain**2)) if same_kind else pyramid.share,
+        np.hypot(pyramid.share - finer.pyramid.share, grain**2) if same_kind else pyramid.share,
         f"{_PYRAMIDS[pyramid.kind]}: on the world's diagonals, it is {corner:.2f} times that along the axes.",
         f"friction_{pyramid.kind}")  # fmt: skip
     owner = "object" if full.law.of_object else "table"
-    add("grain", grain, float(np.hypot(shape.along_unsure, grain - finer.grain)),
+    add("grain", grain, np.hypot(shape.along_unsure, grain - finer.grain),
         f"Friction along and across one direction of the {owner} is {_percent(grain)} above and below its"
         " mean.",
         f"anisotropic_{owner}")  # fmt: skip
     lean, finer_lean = np.degrees(shape.leaning), np.degrees(finer.leaning)
     everywhere = abs(np.degrees(np.arctan(shape.lean))) > 0.5 * abs(lean)
-    add("lean", float(lean), float(np.hypot(np.degrees(shape.lean_unsure), abs(lean) - abs(finer_lean))),
+    add("lean", lean, np.hypot(np.degrees(shape.lean_unsure), abs(lean) - abs(finer_lean)),
         f"Friction leans off the line of motion by {'' if everywhere else 'up to '}{abs(lean):.1f}°"
         + (f", {'counter-' if lean > 0 else ''}clockwise in every direction." if everywhere
            else ", which no grain explains."),
         None if everywhere else "impulse_friction")  # fmt: skip
-    force, change = _size(shape.force), _size(shape.force - finer.force)
-    add("force", force, float(np.hypot(shape.force_unsure, change)),
+    force, change = np.hypot(*shape.force), np.hypot(*(shape.force - finer.force))
+    add("force", force, np.hypot(shape.force_unsure, change),
         f"A constant force of {_percent(force)} of friction pulls the object in the direction"
         f" {_degrees(shape.force):.0f}°, as if the table sloped by {np.degrees(np.arctan(MU * force)):.2g}°.",
         "table_tilt")  # fmt: skip
-    place, change = _size(full.by_place), _size(full.by_place - half.by_place)
-    add("place", place, float(np.hypot(shape.scatter, change)),
+    place, change = np.hypot(*full.by_place), np.hypot(*(full.by_place - half.by_place))
+    add("place", place, np.hypot(shape.scatter, change),
         f"Friction rises by {_percent(place)} per {APART:g} m in the direction"
         f" {_degrees(full.by_place):.0f}°.", "table_friction_field")  # fmt: skip
-    torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
-    spin, unsure = _mean(full.spin), _spread(full.spin, half.spin)
+    torsion, torsion_unsure = full.slow_spin.mean(), _spread(full.slow_spin, half.slow_spin)
+    spin, unsure = full.spin.mean(), _spread(full.spin, half.spin)
     # Torsion is the same in place and during a slide; a pyramid resists a slow spin across its axes likewise.
     felt = abs(torsion) > max(_KINDS["torsion"][1], _SURE * torsion_unsure)
     has_torsion = felt and (spin - 1) / torsion > 0.5 and pyramid.share < max(0.05, 2 * grain**2)
@@ -408,7 +385,7 @@ def measures(full: Answers, half: Answers) -> list[Measure]:
     add("load_follows_slip", excess, unsure,
         f"A spin in place meets {1 + excess:.2f} times the torque of even loads: cells that slip"
         f" {'faster' if excess > 0 else 'slower'} carry more load.", "slip_load")  # fmt: skip
-    creep, creep_half = (1e3 * float(answers.creep.max()) for answers in (full, half))
+    creep, creep_half = (1e3 * answers.creep.max() for answers in (full, half))
     add("creep", creep, abs(creep - creep_half),
         f"Under {_percent(CREEP_LOAD)} of the force that friction can hold, the object creeps at"
         f" {creep:.2g} mm/s.")  # fmt: skip
@@ -428,14 +405,6 @@ def _factor(answers: Answers) -> tuple[float, float]:
     guess = STEADY_SPEEDS[0] * rise
     excess = np.append(level, level[0] - guess) - 1
     return float(max(excess.min(), 0.0) + min(excess.max(), 0.0)), float(guess)
-
-
-def _mean(values: FloatArray) -> float:
-    return float(np.mean(values))
-
-
-def _size(vector: FloatArray) -> float:
-    return float(np.hypot(*vector))
 
 
 def _degrees(vector: FloatArray) -> float:

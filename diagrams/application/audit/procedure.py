@@ -20,7 +20,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Slider
-from slipmap.models.progress import Progress, silent
+from slipmap.models.progress import Progress
 from slipmap.planners.exploration import Candidate, candidate_pushes
 
 COUNT = 24  # number of pushes
@@ -31,6 +31,14 @@ _APPROACH, _RAMP, _REST = 5e-3, 0.05, 0.1  # m; s
 _STEP = 1e-3  # s, of the model
 _UNMOVED = 0.1  # share of the mean displacement that a finger which touches the object exceeds
 _LOOKS = 12  # poses per push to which effects are fitted
+_LOWER = 0.9  # largest share of the price that an explaining effect may leave
+_LAWS = (
+    "friction_diamond", "friction_square", "slip_load", "torsional_friction", "impulse_friction",
+    "anisotropic_table", "anisotropic_object", "viscous_friction", "stribeck_friction", "load_transfer",
+    "finger_compliance",
+)  # fmt: skip
+"""Effects that an engine may have: other laws of friction, load and contact."""
+
 Report = Callable[[int], None]  # called with the number of finished pushes
 
 
@@ -81,7 +89,7 @@ def standard_pushes() -> StandardPushes:
         scene.grid, scene.finger_radius, rng, COUNT, length=_LENGTH, speed=_SPEED, approach=_APPROACH
     )
     starts = np.column_stack([np.zeros((COUNT, 2)), rng.uniform(-np.pi, np.pi, COUNT)])
-    pushes = [_push(c, start, _STEP) for c, start in zip(candidates, starts, strict=True)]
+    pushes = _pushes(candidates, starts, _STEP)
     lasting = _STEP * np.array([len(push.tip) - 1 for push in pushes])
     times = np.linspace(0.25, 1.0, _LOOKS) * lasting[:, None]
     ends = Slider(scene.grid, scene.finger_radius).rollout(scene.maps, pushes).end[0, :, :3]
@@ -97,13 +105,13 @@ def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Push
     """
     laid = subject.lay(standard.scene)
     ends, looks = [], []
-    for index, (candidate, start) in enumerate(zip(standard.candidates, standard.starts, strict=True)):
-        push = _push(candidate, start, subject.dt)
-        poses = laid.push(push.tip, start)
+    pushes = _pushes(standard.candidates, standard.starts, subject.dt)
+    for done, (push, times) in enumerate(zip(pushes, standard.times, strict=True), start=1):
+        poses = laid.push(push.tip, push.start_pose)
         clock = subject.dt * np.arange(len(poses))
         ends.append(poses[-1])
-        looks.append(np.column_stack([np.interp(standard.times[index], clock, column) for column in poses.T]))
-        report(index + 1)
+        looks.append(np.column_stack([np.interp(times, clock, column) for column in poses.T]))
+        report(done)
     grid = standard.scene.grid
     moved = float(add(np.array(ends), standard.starts, grid.centers).mean())
     if moved < _UNMOVED * standard.moved:
@@ -125,12 +133,10 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
     """
     scene, grid = standard.scene, standard.scene.grid
     slider = Slider(grid, scene.finger_radius, effects=[effect])
+    stepped = _pushes(standard.candidates, standard.starts, _STEP)
     pushes = [
         Push(_STEP, push.tip, push.start_pose, pose_times=times, order=float(index))
-        for index, (candidate, start, times) in enumerate(
-            zip(standard.candidates, standard.starts, standard.times, strict=True)
-        )
-        for push in [_push(candidate, start, _STEP)]
+        for index, (push, times) in enumerate(zip(stepped, standard.times, strict=True))
     ]
     radius = float(np.sqrt(np.mean((grid.centers**2).sum(axis=1))))
     weights = 1e3 * np.array([1.0, 1.0, radius])  # mm
@@ -148,16 +154,9 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
         by_effect = rolled(values, True)[1]
         return np.asarray((by_effect * weights[:, None]).reshape(-1, len(values)))
 
-    speeds = [candidate.speed for candidate in standard.candidates]
+    speed = float(np.median([candidate.speed for candidate in standard.candidates]))
     weight = float(scene.mass.sum() * slider.gravity)
-    around = Scene(
-        center=(0.0, 0.0),
-        reach=0.1,
-        radius=radius,
-        speed=float(np.median(speeds)),
-        pushes=COUNT,
-        weight=weight,
-    )
+    around = Scene((0.0, 0.0), reach=0.1, radius=radius, speed=speed, pushes=COUNT, weight=weight)
     low, high = bounds([effect])
     spans = scales([effect], weight)
     fits = []
@@ -174,20 +173,12 @@ def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explain
     return Explained(effect, best.x, add(pushed.ends, ends, grid.centers))
 
 
-def laws(effects: Sequence[Effect]) -> list[Effect]:
-    """Effects that an engine may have: other laws of friction, load and contact."""
-    return [effect for effect in effects if effect.name in _LAWS]
-
-
-_LAWS = (
-    "friction_diamond", "friction_square", "slip_load", "torsional_friction", "impulse_friction",
-    "anisotropic_table", "anisotropic_object", "viscous_friction", "stribeck_friction", "load_transfer",
-    "finger_compliance",
-)  # fmt: skip
-
-
-def _push(candidate: Candidate, start: FloatArray, dt: float) -> Push:
-    return candidate.push(start, h=dt, ramp=_RAMP, rest=_REST)
+def _pushes(candidates: Sequence[Candidate], starts: FloatArray, dt: float) -> list[Push]:
+    """Pushes on an object at poses (m, 3), in steps of `dt`, s."""
+    return [
+        candidate.push(start, h=dt, ramp=_RAMP, rest=_REST)
+        for candidate, start in zip(candidates, starts, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,26 +243,22 @@ class Audit:
 
 
 @one_blas_thread()
-def audit(
-    subject: Subject, standard: StandardPushes | None = None, progress: Progress | None = None
-) -> Audit:
+def audit(subject: Subject, standard: StandardPushes, report: Progress) -> Audit:
     """Audit one engine.
 
     Raises:
         BadInput: it fails.
     """
-    report, standard = progress or silent, standard or standard_pushes()
     half = subject.halved()
-    answers = []
-    for one in (subject, half):
-        stage = f"{subject.name}, probes at {1e3 * one.dt:g} ms"
-        answers.append(probes.ask(one, _counter(report, stage, probes.COUNT)))
-    found = measures(answers[0], answers[1])
+    answers, answers_half = (
+        probes.ask(one, _counter(report, f"{subject.name}, probes at {1e3 * one.dt:g} ms", probes.COUNT))
+        for one in (subject, half)
+    )
     pushed, pushed_half = (
         push_all(one, standard, _counter(report, f"{subject.name}, pushes at {1e3 * one.dt:g} ms", COUNT))
         for one in (subject, half)
     )
-    tried = laws(LIBRARY) if pushed.price > NOTHING else []
+    tried = [effect for effect in LIBRARY if effect.name in _LAWS] if pushed.price > NOTHING else []
     explained = []
     for number, effect in enumerate(tried):
         report(f"{subject.name}, fitting effects: {effect.name}", number, len(tried))
@@ -279,16 +266,14 @@ def audit(
     better = [one for one in explained if one.price < _LOWER * pushed.price]
     better.sort(key=lambda one: one.price)
     return Audit(
-        subject.name, engines.version(subject.name), subject.dt, answers[0], tuple(found), pushed,
-        pushed_half, tuple(better), standard,
+        subject.name, engines.version(subject.name), subject.dt, answers,
+        tuple(measures(answers, answers_half)), pushed, pushed_half, tuple(better), standard,
     )  # fmt: skip
 
 
-def prices_beside(
-    audited: Sequence[str], standard: StandardPushes, progress: Progress | None = None
-) -> Mapping[str, float]:
+def prices_beside(audited: Sequence[str], standard: StandardPushes, report: Progress) -> Mapping[str, float]:
     """Prices, m, of the installed built-in engines with default settings, without the audited ones."""
-    report, result = progress or silent, {}
+    result = {}
     for name in engines.installed():
         if name not in audited:
             counter = _counter(report, f"{name}, pushes for comparison", COUNT)
@@ -297,9 +282,6 @@ def prices_beside(
             except BadInput:  # an engine that does not run here is left out
                 continue
     return result
-
-
-_LOWER = 0.9  # largest share of the price that an explaining effect may leave
 
 
 def _counter(report: Progress, stage: str, total: int) -> probes.Report:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
-from types import ModuleType
 
 import numpy as np
 import shapely
@@ -26,7 +25,7 @@ from slipmap.diagrams.application.benchmark.scene import (
     Outcome,
     Scene,
 )
-from slipmap.diagrams.application.bullet_bodies import import_bullet
+from slipmap.diagrams.application.bullet_bodies import BulletClient
 from slipmap.models.geometry import turn
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -80,19 +79,15 @@ def run_bullet(scene: Scene, repeats: int) -> Outcome:
     Raises:
         ModuleNotFoundError: pybullet is not installed.
     """
-    pybullet = import_bullet()
 
     def simulate() -> tuple[float, np.ndarray]:
-        client = pybullet.connect(pybullet.DIRECT)
-        try:
-            outline = _bullet_scene(pybullet, scene, client)
-            start = time.process_time()
-            for _ in range(_SUBSTEPS * (len(scene.push.tip) - 1)):
-                pybullet.stepSimulation(physicsClientId=client)
-            seconds = time.process_time() - start
-            position, turn = pybullet.getBasePositionAndOrientation(outline, physicsClientId=client)
-        finally:
-            pybullet.disconnect(client)
+        bullet = BulletClient()
+        outline, step = _bullet_scene(bullet, scene), bullet.stepSimulation
+        start = time.process_time()
+        for _ in range(_SUBSTEPS * (len(scene.push.tip) - 1)):
+            step()
+        seconds = time.process_time() - start
+        position, turn = bullet.getBasePositionAndOrientation(outline)
         return seconds, np.array([position[0], position[1], 2 * np.arctan2(turn[2], turn[3])])
 
     seconds, pose = _median_of_runs(simulate, repeats)
@@ -145,58 +140,52 @@ def _mujoco_description(scene: Scene) -> str:
     </mujoco>"""
 
 
-def _bullet_scene(p: ModuleType, scene: Scene, client: int) -> int:
-    """Build the scene in a client; returns the body of the outline, to which the cells are joined.
+def _bullet_scene(p: BulletClient, scene: Scene) -> int:
+    """Build the scene; returns the body of the outline, to which the cells are joined.
 
     A cell's box has side w/√3: with contacts at its corners, it resists a spin like a square of side w. The
     outline touches only the finger, the cells only the table. Bullet multiplies friction coefficients.
     """
-    where = {"physicsClientId": client}
-    p.setGravity(0, 0, -GRAVITY, **where)
-    p.setPhysicsEngineParameter(enableConeFriction=1, **where)
-    p.setTimeStep(scene.push.h / _SUBSTEPS, **where)
+    p.setGravity(0, 0, -GRAVITY)
+    p.setPhysicsEngineParameter(enableConeFriction=1)
+    p.setTimeStep(scene.push.h / _SUBSTEPS)
     grid = scene.slider.grid
     mass = scene.maps.mass[0] * (1 - _OUTLINE_MASS / scene.maps.mass[0].sum())
 
-    table = p.createMultiBody(0, _box(p, (1, 1, 0.5), where), basePosition=[0, 0, -0.5], **where)
-    _set(p, table, -1, 1.0, _TABLE, _CELL, where)
-    shape = _box(p, (WIDTH / 2, DEPTH / 2, _HALF_HEIGHT), where)
-    outline = p.createMultiBody(_OUTLINE_MASS, shape, basePosition=[0, 0, _HALF_HEIGHT], **where)
-    _set(p, outline, -1, MU_FINGER, _OUTLINE, _FINGER, where)
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(1, 1, 0.5))
+    table = p.createMultiBody(0, shape, basePosition=[0, 0, -0.5])
+    _set(p, table, -1, 1.0, _TABLE, _CELL)
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(WIDTH / 2, DEPTH / 2, _HALF_HEIGHT))
+    outline = p.createMultiBody(_OUTLINE_MASS, shape, basePosition=[0, 0, _HALF_HEIGHT])
+    _set(p, outline, -1, MU_FINGER, _OUTLINE, _FINGER)
     half = grid.width / np.sqrt(12)
-    shape = _box(p, (half, half, _HALF_HEIGHT), where)
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(half, half, _HALF_HEIGHT))
     for (x, y), m, mu in zip(grid.centers, mass, scene.maps.mu[0], strict=True):
-        cell = p.createMultiBody(m, shape, basePosition=[x, y, _HALF_HEIGHT], **where)
-        _set(p, cell, -1, mu, _CELL, _TABLE, where)
-        p.createConstraint(outline, -1, cell, -1, p.JOINT_FIXED, [0, 0, 0], [x, y, 0], [0, 0, 0], **where)
+        cell = p.createMultiBody(m, shape, basePosition=[x, y, _HALF_HEIGHT])
+        _set(p, cell, -1, mu, _CELL, _TABLE)
+        p.createConstraint(outline, -1, cell, -1, p.JOINT_FIXED, [0, 0, 0], [x, y, 0], [0, 0, 0])
 
     x, y = scene.push.tip[0]
-    shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=0.04, **where)
+    shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=0.04)
     finger = p.createMultiBody(
         0, -1, basePosition=[x, y, _HALF_HEIGHT], linkMasses=[1], linkCollisionShapeIndices=[shape],
         linkVisualShapeIndices=[-1], linkPositions=[[0, 0, 0]], linkOrientations=[[0, 0, 0, 1]],
         linkInertialFramePositions=[[0, 0, 0]], linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0], linkJointTypes=[p.JOINT_PRISMATIC], linkJointAxis=[[0, 1, 0]], **where,
+        linkParentIndices=[0], linkJointTypes=[p.JOINT_PRISMATIC], linkJointAxis=[[0, 1, 0]]
     )  # fmt: skip
-    _set(p, finger, 0, 1.0, _FINGER, _OUTLINE, where)
-    p.resetJointState(finger, 0, 0, SPEED, **where)
-    p.setJointMotorControl2(finger, 0, p.VELOCITY_CONTROL, targetVelocity=SPEED, force=1e5, **where)
+    _set(p, finger, 0, 1.0, _FINGER, _OUTLINE)
+    p.resetJointState(finger, 0, 0, SPEED)
+    p.setJointMotorControl2(finger, 0, p.VELOCITY_CONTROL, targetVelocity=SPEED, force=1e5)
     return outline
 
 
-def _box(p: ModuleType, half_sides: tuple[float, float, float], where: dict[str, int]) -> int:
-    return p.createCollisionShape(p.GEOM_BOX, halfExtents=half_sides, **where)
-
-
-def _set(
-    p: ModuleType, body: int, link: int, friction: float, group: int, mask: int, where: dict[str, int]
-) -> None:
+def _set(p: BulletClient, body: int, link: int, friction: float, group: int, mask: int) -> None:
     """Set the friction of a link, no air damping, and what it can touch."""
-    p.changeDynamics(body, link, lateralFriction=friction, **where)
+    p.changeDynamics(body, link, lateralFriction=friction)
     if link == -1:
         # Set in the same call, or on the finger's link, damping would reset the friction.
-        p.changeDynamics(body, link, linearDamping=0, angularDamping=0, **where)
-    p.setCollisionFilterGroupMask(body, link, group, mask, **where)
+        p.changeDynamics(body, link, linearDamping=0, angularDamping=0)
+    p.setCollisionFilterGroupMask(body, link, group, mask)
 
 
 def plain_rollout(slider: Slider, maps: Maps, push: Push) -> FloatArray:

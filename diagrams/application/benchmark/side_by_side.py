@@ -42,7 +42,7 @@ def run_benchmark(
         A JSON-serialisable dict: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
         first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `_time_rollouts`;
         `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
-        results of `growth.measure`.
+        results of `scene.measure`.
     """
     report = progress or silent
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
@@ -150,7 +150,7 @@ def _engines(result: dict[str, Any]) -> list[str]:
         x, y, angle = engine["final_pose"]
         lines.append(
             f"{engine['name']:24}{1e3 * engine['seconds']:13.4g}{engine['ratio']:9.3g}"
-            f"   {1e3 * x:8.2f}{1e3 * y:8.2f}{57.29577951308232 * angle:9.2f}"
+            f"   {1e3 * x:8.2f}{1e3 * y:8.2f}{np.degrees(angle):9.2f}"
         )
         lines.append(f"  {engine['remark']}")
     lines += [f"{name}: {note}" for name, note in result["missing"].items()]

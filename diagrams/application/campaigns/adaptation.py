@@ -177,37 +177,20 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     hiding = [of for hidden, of in every.items() if hidden != NOTHING]
     if len(hiding) > 1:
         every[_EVERY] = {robot: [one for of in hiding for one in of[robot]] for robot in ROBOTS}
+    found = {hidden: _found(of) for hidden, of in every.items()}
     answers, matter, off, delivered, fates = [], [], [], [], []
-    held, document = {}, {}
-    for hidden, of in every.items():
-        said = [answer(one["hidden"], one) for one in of["adapting"]]
-        counts = {name: said.count(name) for name in _ANSWERS}
-        right = [_is_right(one) for one in of["adapting"]]
-        needed = [
-            _is_right(one) and (adopted_after(one) or 0) <= SOON for one in of["adapting"] if is_needed(one)
-        ]
-        found, found_needed = (share(sum(part), len(part)) for part in (right, needed))
-        fell = [pair for one in of["adapting"] if (pair := errors_by_adoption(one)) is not None]
-        before, after = (mean([pair[k] for pair in fell]) for k in (0, 1))
-        ratio = float(np.median([pair[1] / pair[0] for pair in fell])) if fell else None
-        held[hidden] = {robot: share(_count(of[robot], "held"), len(of[robot])) for robot in ROBOTS}
-        pushes = {robot: mean([len(one["pushes"]) for one in of[robot]]) for robot in ROBOTS}
-        answers.append([hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()])
-        matter.append([hidden, str(len(needed)), found_needed.percent() if needed else "–"])
-        numbers = (error.short(1e2) for error in (before, after))
-        off.append([hidden, str(len(fell)), *numbers, "–" if ratio is None else f"{ratio:.2f}"])
-        numbers = (pushes[robot].short(digits=2) for robot in ROBOTS)
-        delivered.append([hidden, *(held[hidden][robot].percent() for robot in ROBOTS), *numbers])
-        fates.append([hidden, *(_fates(of[robot]) for robot in ROBOTS)])
-        document[hidden] = {
-            "answers": counts,
-            "right": found,
-            "needed": len(needed),
-            "right_where_needed": found_needed if needed else None,
-            "errors": {"before": before, "after": after, "ratio": ratio},
-            "held": held[hidden],
-            "pushes": pushes,
-        }
+    for hidden, row in found.items():
+        right, needed, errors = row["right"], row["right_where_needed"], row["errors"]
+        answers.append([hidden, str(right.count), *map(str, row["answers"].values()), right.percent()])
+        matter.append([hidden, str(row["needed"]), "–" if needed is None else needed.percent()])
+        ratio = "–" if errors["ratio"] is None else f"{errors['ratio']:.2f}"
+        numbers = [errors[when].short(1e2) for when in ("before", "after")]
+        off.append([hidden, str(errors["before"].count), *numbers, ratio])
+        numbers = [row["held"][robot].percent() for robot in ROBOTS]
+        numbers += [row["pushes"][robot].short(digits=2) for robot in ROBOTS]
+        delivered.append([hidden, *numbers])
+        fates.append([hidden, *(_fates(every[hidden][robot]) for robot in ROBOTS)])
+    held = {hidden: row["held"] for hidden, row in found.items()}
     title = "Explored, brought to the edge, grasped and lifted"
     columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))
     return experiments.Summary(
@@ -226,9 +209,32 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         f" or less; where nothing is hidden, `none` is right. An effect is needed if the first {FIRST} pushes"
         f" end {1e3 * MOVES:.0f} mm or more elsewhere with it (median, in the plant), and in time within"
         f" {SOON} pushes. Only pushes towards the edge are counted.",
-        {"hidden": document},
+        {"hidden": found},
         lambda: [figures.shares_figure(title, held, {})],
     )
+
+
+def _found(of: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
+    """What the trials of each robot showed: counts, estimates and, where there is nothing to count, None."""
+    adapting = of["adapting"]
+    said = [answer(one["hidden"], one) for one in adapting]
+    right = [_is_right(one) for one in adapting]
+    needed = [_is_right(one) and (adopted_after(one) or 0) <= SOON for one in adapting if is_needed(one)]
+    fell = [pair for one in adapting if (pair := errors_by_adoption(one)) is not None]
+    before, after = (mean([pair[k] for pair in fell]) for k in (0, 1))
+    return {
+        "answers": {name: said.count(name) for name in _ANSWERS},
+        "right": share(sum(right), len(right)),
+        "needed": len(needed),
+        "right_where_needed": share(sum(needed), len(needed)) if needed else None,
+        "errors": {
+            "before": before,
+            "after": after,
+            "ratio": float(np.median([pair[1] / pair[0] for pair in fell])) if fell else None,
+        },
+        "held": {robot: share(_count(of[robot], "held"), len(of[robot])) for robot in ROBOTS},
+        "pushes": {robot: mean([len(one["pushes"]) for one in of[robot]]) for robot in ROBOTS},
+    }
 
 
 def _is_right(result: dict[str, Any]) -> bool:

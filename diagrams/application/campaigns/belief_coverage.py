@@ -15,7 +15,7 @@ import numpy as np
 from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import ALL
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, by_object, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, identified, world_of
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
@@ -122,10 +122,8 @@ def coverage(pushes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
-    pushes: dict[str, list[dict[str, Any]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            pushes.setdefault(outcome.spec.parameters["object_name"], []).extend(outcome.result["pushes"])
+    results = {name: [one.result for one in of] for name, of in by_object(outcomes).items()}
+    pushes = {name: [push for one in of for push in one["pushes"]] for name, of in results.items()}
     pushes[ALL] = [push for of_object in pushes.values() for push in of_object]
     found = {name: coverage(of_object) for name, of_object in pushes.items()}
     rows = [
@@ -134,7 +132,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         for place, row in places.items()
         if row["pushes"]
     ]
-    lost = sum(outcome.result["lost"] for outcome in outcomes if outcome.result is not None)
+    lost = sum(one["lost"] for of in results.values() for one in of)
     return experiments.Summary(
         [
             experiments.TableText(
@@ -166,7 +164,7 @@ def _inside(pushes: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Esti
     """Share of pushes that end inside the 95 % region, by object and place."""
     return {
         name: {
-            f"{place.replace('_', ' ')}": share(sum(p["rarity"] >= 0.05 for p in here), len(here))
+            place.replace("_", " "): share(sum(p["rarity"] >= 0.05 for p in here), len(here))
             for place in PLACES
             if (here := [push for push in of_object if push["place"] == place])
         }

@@ -13,7 +13,6 @@ from slipmap.diagrams.application.bullet_bodies import (
     SINK,
     TABLE,
     BulletScene,
-    import_bullet,
 )
 from slipmap.diagrams.application.campaigns.worlds import (
     AT_REST,
@@ -25,14 +24,11 @@ from slipmap.diagrams.application.campaigns.worlds import (
     flat_pose,
 )
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
-from slipmap.diagrams.station.table import ROUND_TABLE
-from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
 
-STEP = 2e-3  # s
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
@@ -53,47 +49,34 @@ class BulletWorld(DirectWorld):
         ModuleNotFoundError: pybullet is not installed.
     """
 
-    def __init__(
-        self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
-    ) -> None:
-        try:
-            pybullet = import_bullet()
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                "Bullet is not installed; install it with `pip install 'slipmap[bench]'`"
-            ) from error
-        super().__init__(true_object, table, noise)
-        self._bullet = BulletScene(pybullet, (0, 0, -GRAVITY), STEP, True, _ITERATIONS)
-        self._p, self._where = pybullet, self._bullet.where
+    _step = 2e-3
+
+    def __init__(self, true_object: TrueObject, noise: WorldNoise | None = None) -> None:
+        super().__init__(true_object, noise)
+        self._bullet = BulletScene((0, 0, -GRAVITY), self._step, True, _ITERATIONS)
+        self._p = p = self._bullet.p
         self._add_table()
         self._body = self._add_object()
-        finger = pybullet.createCollisionShape(
-            pybullet.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **self._where
-        )
+        finger = p.createCollisionShape(p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH)
         self._bullet.add_finger(finger, _FINGER_HEIGHT + FINGER_LENGTH / 2)
 
-    @property
-    def _step(self) -> float:
-        return STEP
-
     def _place(self, pose: FloatArray) -> None:
-        p, where = self._p, self._where
+        p = self._p
         turn = p.getQuaternionFromEuler([0, 0, float(pose[2])])
         # Bullet's pose of a body is that of its principal frame.
         X_WI = p.multiplyTransforms([pose[0], pose[1], -SINK], turn, *self._X_OI)
-        p.resetBasePositionAndOrientation(self._body, *X_WI, **where)
-        p.resetBaseVelocity(self._body, [0, 0, 0], [0, 0, 0], **where)
+        p.resetBasePositionAndOrientation(self._body, *X_WI)
+        p.resetBaseVelocity(self._body, [0, 0, 0], [0, 0, 0])
         self._bullet.put_finger(_AWAY)
 
     def _drive(self, tip: FloatArray) -> Motion:
-        p, where = self._p, self._where
         self._bullet.put_finger(tip[0])
-        stride = round(PERIOD / STEP)
+        stride = round(PERIOD / self._step)
         poses, tips, forces = [self._pose()], [tip[0]], [np.zeros(2)]
         total, now = np.zeros(2), tip[0]
         for step, wanted in enumerate(tip[1:], start=1):
-            self._bullet.drive((wanted - now) / STEP)
-            p.stepSimulation(**where)
+            self._bullet.drive((wanted - now) / self._step)
+            self._p.stepSimulation()
             states = self._bullet.finger_states()
             now = np.array([state[0] for state in states])
             total = total + [state[3] for state in states]
@@ -106,36 +89,31 @@ class BulletWorld(DirectWorld):
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
-        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
-            self._p.stepSimulation(**self._where)
+        for step in range(1, round(LONGEST_SETTLING / self._step) + 1):
+            self._p.stepSimulation()
             if step % 50 == 0:
-                fastest = np.abs(self._p.getBaseVelocity(self._body, **self._where)).max()
+                fastest = np.abs(self._p.getBaseVelocity(self._body)).max()
                 if (step >= 250 and fastest < AT_REST) or np.isnan(self._pose()).any():
                     return
 
     def _pose(self) -> FloatArray:
         p = self._p
-        X_WI = p.getBasePositionAndOrientation(self._body, **self._where)
+        X_WI = p.getBasePositionAndOrientation(self._body)
         place, turn = p.multiplyTransforms(*X_WI, *self._X_IO)
         x, y, z, w = np.array(turn)
         return flat_pose(np.array(place), w, x, y, z)
 
     def _add_table(self) -> None:
-        p, where, table = self._p, self._where, self.table
-        if table.radius is not None:
-            shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=table.radius, height=_THICKNESS, **where)
-        else:
-            assert table.size is not None
-            half = [table.size[0] / 2, table.size[1] / 2, _THICKNESS / 2]
-            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, **where)
-        top = p.createMultiBody(0, shape, basePosition=[*table.center, -_THICKNESS / 2], **where)
+        p, table = self._p, self.table
+        disc = p.createCollisionShape(p.GEOM_CYLINDER, radius=table.radius, height=_THICKNESS)
+        top = p.createMultiBody(0, disc, basePosition=[*table.center, -_THICKNESS / 2])
         floor = p.createMultiBody(
-            0, p.createCollisionShape(p.GEOM_BOX, halfExtents=[4, 4, 0.1], **where),
-            basePosition=[0, 0, _FLOOR - 0.1], **where,
+            0, p.createCollisionShape(p.GEOM_BOX, halfExtents=[4, 4, 0.1]),
+            basePosition=[0, 0, _FLOOR - 0.1]
         )  # fmt: skip
         for body in (top, floor):
-            p.changeDynamics(body, -1, lateralFriction=1.0, **where)
-            p.setCollisionFilterGroupMask(body, -1, TABLE, FEET | SIDES, **where)
+            p.changeDynamics(body, -1, lateralFriction=1.0)
+            p.setCollisionFilterGroupMask(body, -1, TABLE, FEET | SIDES)
 
     def _add_object(self) -> int:
         # Feet of equal cells share links, because Bullet's cost per contact grows with the number of links.
@@ -159,7 +137,7 @@ class BulletWorld(DirectWorld):
         return int(
             p.createCollisionShapeArray(
                 shapeTypes=[p.GEOM_SPHERE] * count, radii=[FOOT] * count,
-                collisionFramePositions=[[x, y, FOOT] for x, y in centers], **self._where,
+                collisionFramePositions=[[x, y, FOOT] for x, y in centers]
             )
         )  # fmt: skip
 

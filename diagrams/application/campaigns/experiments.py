@@ -12,34 +12,34 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+from slipmap.models.files import BadInput
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from slipmap.diagrams.application.campaigns.trials import TrialOutcome, TrialSpec
 
 
-ABOUT = {
-    "fig3": "error after pushes chosen by three strategies",
-    "fig4": "error of identified maps, a uniform object, and Algorithm 1 as printed",
-    "fig5": "stable goals at the table's edge",
-    "fig6": "pushing to the table's edge by four methods",
-    "fig7": "the whole procedure with arm and camera",
-    "tilt": "pushing over a tilted table, with and without the tilt in the model",
-    "coverage": "share of pushes at the table's edge that end within the belief's regions",
-    "adapt": "a robot that repairs its model while an effect is hidden from it",
-}
-"""All experiments: those of the paper by figure, then those beyond it."""
+_EXPERIMENTS = {
+    "fig3": ("learning_curves:FIGURE_3", "error after pushes chosen by three strategies"),
+    "fig4": (
+        "learning_curves:FIGURE_4", "error of identified maps, a uniform object, and Algorithm 1 as printed"
+    ),
+    "fig5": ("stable_goals:FIGURE_5", "stable goals at the table's edge"),
+    "fig6": ("methods_compared:FIGURE_6", "pushing to the table's edge by four methods"),
+    "fig7": ("methods_compared:FIGURE_7", "the whole procedure with arm and camera"),
+    "tilt": (
+        "tilted_table:TILTED_TABLE", "pushing over a tilted table, with and without the tilt in the model"
+    ),
+    "coverage": (
+        "belief_coverage:COVERAGE", "share of pushes at the table's edge that end within the belief's regions"
+    ),
+    "adapt": ("adaptation:ADAPTATION", "a robot that repairs its model while an effect is hidden from it"),
+}  # fmt: skip
+"""Module and name of each experiment, and what it is: those of the paper by figure, then those beyond it."""
 
-_PLACES = {
-    "fig3": "learning_curves:FIGURE_3",
-    "fig4": "learning_curves:FIGURE_4",
-    "fig5": "stable_goals:FIGURE_5",
-    "fig6": "methods_compared:FIGURE_6",
-    "fig7": "methods_compared:FIGURE_7",
-    "tilt": "tilted_table:TILTED_TABLE",
-    "coverage": "belief_coverage:COVERAGE",
-    "adapt": "adaptation:ADAPTATION",
-}
+ABOUT = {name: about for name, (_, about) in _EXPERIMENTS.items()}
+"""What each experiment is."""
 
 
 def experiment_of(name: str) -> Experiment:
@@ -48,9 +48,9 @@ def experiment_of(name: str) -> Experiment:
     Raises:
         ValueError: an unknown name.
     """
-    if name not in _PLACES:
-        raise ValueError(f"experiment {name!r} is unknown; there are {', '.join(_PLACES)}")
-    module, attribute = _PLACES[name].split(":")
+    if name not in _EXPERIMENTS:
+        raise ValueError(f"experiment {name!r} is unknown; there are {', '.join(_EXPERIMENTS)}")
+    module, attribute = _EXPERIMENTS[name][0].split(":")
     experiment: Experiment = getattr(importlib.import_module(f"{__package__}.{module}"), attribute)
     return experiment
 
@@ -97,15 +97,15 @@ class Experiment:
 
         Args:
             trials: of each object and variant.
-            truth: one of `worlds.TRUTHS`.
+            truth: as in `worlds.world_of`.
 
         Raises:
-            CampaignError: a truth that the experiment cannot have.
+            BadInput: a truth that the experiment cannot have.
         """
-        from slipmap.diagrams.application.campaigns.trials import CampaignError, TrialSpec
+        from slipmap.diagrams.application.campaigns.trials import TrialSpec
 
         if self.plant_alone and truth != "plant":
-            raise CampaignError(f"{self.name}: only plant simulates {self.plant_alone}; leave out --truth")
+            raise BadInput(f"{self.name}: only plant simulates {self.plant_alone}; leave out --truth")
         fixed = {} if self.plant_alone else {"truth": truth}
         variants = [dict(zip(self.varied, values, strict=True)) for values in product(*self.varied.values())]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.trials import TrialOutcome, mean
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, by_object, mean
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, world_of
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import identify
@@ -71,12 +71,13 @@ def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: in
 
 
 def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
-    curves: Curves = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            parameters = outcome.spec.parameters
-            of_object = curves.setdefault(parameters["object_name"], {name: [] for name in STRATEGIES})
-            of_object[parameters["strategy"]].append(outcome.result["errors"])
+    curves = {
+        name: {
+            strategy: [one.result["errors"] for one in of if one.spec.parameters["strategy"] == strategy]
+            for strategy in STRATEGIES
+        }
+        for name, of in by_object(outcomes).items()
+    }
     remark = (
         "The paper gives no numbers for its figure 3; it finds no clear advantage of chosen over random"
         " pushes."
@@ -86,12 +87,10 @@ def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
 
 
 def _model_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
-    curves: Curves = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            name = outcome.spec.parameters["object_name"]
-            for model, errors in curves.setdefault(name, {model: [] for model in MODELS}).items():
-                errors.append(outcome.result["errors"][model])
+    curves = {
+        name: {model: [one.result["errors"][model] for one in of] for model in MODELS}
+        for name, of in by_object(outcomes).items()
+    }
     remark = (
         "The paper gives no numbers for its figure 4; there, identified models predict better with more"
         " pushes."
@@ -111,10 +110,7 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.
         count = max(map(len, curves[name].values()))
         tables.append(experiments.TableText(f"{title}: {name}, {count} trials", columns, rows))
     return experiments.Summary(
-        tables,
-        remark,
-        {"curves": means, "unit": "m"},
-        lambda: [figures.curves_figure(title, means)],
+        tables, remark, {"curves": means, "unit": "m"}, lambda: [figures.curves_figure(title, means)]
     )
 
 

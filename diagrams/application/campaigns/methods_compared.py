@@ -21,7 +21,7 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Summary,
     TableText,
 )
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean, share
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, by_object, mean, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
 from slipmap.models.geometry import angle_between
 from slipmap.models.inference.belief import Belief
@@ -106,12 +106,13 @@ def compare_methods(
         parameter: of a trial, which holds its method.
         methods: in the order of the columns.
     """
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {method: [] for method in methods})
-            of_object[told[parameter]].append(outcome.result)
+    results = {
+        name: {
+            method: [one.result for one in of if one.spec.parameters[parameter] == method]
+            for method in methods
+        }
+        for name, of in by_object(outcomes).items()
+    }
     every = {method: [one for of in results.values() for one in of[method]] for method in methods}
     if together:
         results[ALL] = every

@@ -21,13 +21,11 @@ from slipmap.diagrams.application.campaigns.worlds import (
 from slipmap.diagrams.station import sliding_object
 from slipmap.diagrams.station.finger_contact import YIELD_AT_RIGID_FINGER, push_with_balls
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
-from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
-from slipmap.models.measurements.push_dataset import Table
+from slipmap.diagrams.station.table import TABLE_FRICTION, add_table
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS
 
-TIME_STEP = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
 _TOUCHED_AT = 2.5e-3  # m above the table, where the finger touches
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two checks whether the object rests or is lost
@@ -39,31 +37,24 @@ class PlantWorld(DirectWorld):
 
     Args:
         hidden: effects that the object's model does not know.
-        time_step: of the plant, s; a whole fraction of 0.01 s.
 
     Raises:
-        ValueError: a friction that Drake's combination rule cannot give, or an unsuitable time step.
+        ValueError: a friction that Drake's combination rule cannot give.
     """
+
+    _step = 1e-3  # s; with 2 ms, taps end 0.4 to 0.6 mm off, single ones of the wrench 24 mm
 
     def __init__(
         self,
         true_object: TrueObject,
-        table: Table = ROUND_TABLE,
         noise: WorldNoise | None = None,
         *,
         hidden: HiddenEffectsConfig | None = None,
-        time_step: float = TIME_STEP,
     ) -> None:
-        super().__init__(true_object, table, noise)
-        ratio = PERIOD / time_step
-        if abs(ratio - round(ratio)) > 1e-9:
-            raise ValueError(
-                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
-            )
-        self._time_step = time_step
+        super().__init__(true_object, noise)
         builder = DiagramBuilder()
-        plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
-        add_table(plant, table)
+        plant, _ = AddMultibodyPlant(sliding_object.plant_config(self._step), builder)
+        add_table(plant, self.table)
         sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION)
         self._finger = _add_finger(plant, true_object)
         plant.Finalize()
@@ -84,10 +75,6 @@ class PlantWorld(DirectWorld):
         self._root = self._simulator.get_mutable_context()
         self._context = plant.GetMyMutableContextFromRoot(self._root)
 
-    @property
-    def _step(self) -> float:
-        return self._time_step
-
     def _place(self, pose: FloatArray) -> None:
         diagram = self._simulator.get_system()
         self._root.SetTime(0.0)
@@ -99,7 +86,7 @@ class PlantWorld(DirectWorld):
         self._take_finger_away()
 
     def _drive(self, tip: FloatArray) -> Motion:
-        h = self._time_step
+        h = self._step
         times = h * np.arange(len(tip))
         # The drive reaches at the end of a step what is desired at its beginning.
         path = PiecewisePolynomial.CubicHermite(times - h, tip.T, np.gradient(tip, h, axis=0).T)

@@ -9,7 +9,7 @@ import numpy as np
 
 from slipmap.diagrams.application import figures
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, by_object, share
 from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.balance import balance_margins, fall_probability
@@ -88,10 +88,7 @@ def _falls(world: DirectWorld, pose: FloatArray) -> bool:
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
-    results: dict[str, list[dict[str, Any]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            results.setdefault(outcome.spec.parameters["object_name"], []).append(outcome.result)
+    results = {name: [one.result for one in of] for name, of in by_object(outcomes).items()}
     everything = [result for of_object in results.values() for result in of_object]
     precision, recall, rows, found = {}, {}, [], []
     for name, of_object in [*results.items(), ("all", everything)]:

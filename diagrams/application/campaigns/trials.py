@@ -20,12 +20,8 @@ from typing import Any, Literal
 import numpy as np
 
 from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
-from slipmap.models.files import replaced_file
+from slipmap.models.files import BadInput, replaced_file
 from slipmap.models.progress import StageProgress
-
-
-class CampaignError(ValueError):
-    """A campaign that cannot run as requested. The text says what to do."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,7 @@ class TrialSpec:
     """A trial to run, on any machine.
 
     Raises:
-        CampaignError: the name is not a file name, or JSON cannot hold the parameters.
+        BadInput: the name is not a file name, or JSON cannot hold the parameters.
     """
 
     name: str  # of the trial and its file; letters, digits, '-', '_' and '.'
@@ -44,11 +40,11 @@ class TrialSpec:
 
     def __post_init__(self) -> None:
         if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
-            raise CampaignError(f"trial {self.name!r}: use only letters, digits, '-', '_' and '.'")
+            raise BadInput(f"trial {self.name!r}: use only letters, digits, '-', '_' and '.'")
         try:
             self.to_json()
         except (TypeError, ValueError) as error:
-            raise CampaignError(f"trial {self.name}: parameters must be plain data ({error})") from error
+            raise BadInput(f"trial {self.name}: parameters must be plain data ({error})") from error
 
     def to_json(self) -> dict[str, Any]:
         """The spec as JSON."""
@@ -85,7 +81,7 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
     """Write `<name>.json` to a folder atomically.
 
     Raises:
-        CampaignError: the folder cannot be written to.
+        BadInput: the folder cannot be written to.
     """
     document = outcome.spec.to_json() | {
         "result": outcome.result,
@@ -97,16 +93,14 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
         with replaced_file(path) as part:
             part.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:
-        raise CampaignError(
-            f"cannot write {path}: {error.strerror or error}; choose another folder"
-        ) from error
+        raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another folder") from error
 
 
 def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
     """The stored outcome of a trial, or None.
 
     Raises:
-        CampaignError: the file is damaged, or is of a trial with other parameters.
+        BadInput: the file is damaged, or is of a trial with other parameters.
     """
     path = _file(spec, folder)
     if not path.exists():
@@ -117,10 +111,10 @@ def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
         stored = {key: document[key] for key in ("name", "function", "parameters", "seed")}
         outcome = TrialOutcome(spec, document["result"], document["failure"], float(document["seconds"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CampaignError(f"{path} is not a readable trial ({error}); {advice}") from error
+        raise BadInput(f"{path} is not a readable trial ({error}); {advice}") from error
     if stored != spec.to_json():
         different = [key for key, value in spec.to_json().items() if stored[key] != value]
-        raise CampaignError(f"{path} is of another campaign, its {' and '.join(different)} differ; {advice}")
+        raise BadInput(f"{path} is of another campaign, its {' and '.join(different)} differ; {advice}")
     return outcome
 
 
@@ -155,13 +149,11 @@ def run_trials(
         progress: called with the number of trials done and their total.
 
     Raises:
-        CampaignError: names are not unique, the folder holds other trials, the scheduler is missing or does
+        BadInput: names are not unique, the folder holds other trials, the scheduler is missing or does
             not answer, or the `cluster` extra is not installed.
     """
     if len({spec.name for spec in specs}) < len(specs):
-        raise CampaignError("two trials of the campaign have the same name")
-    if workers < 1:
-        raise CampaignError(f"a campaign needs at least one worker, got {workers}")
+        raise BadInput("two trials of the campaign have the same name")
     done: dict[str, TrialOutcome] = {}
     for spec in specs:
         outcome = read_outcome(spec, folder)
@@ -227,15 +219,15 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
     try:
         from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError as error:
-        raise CampaignError(
+        raise BadInput(
             "Dask is not installed; install it here and on the workers with `pip install 'slipmap[cluster]'`"
         ) from error
     if scheduler is None:
-        raise CampaignError("with Dask, give the address of its scheduler, such as tcp://10.0.0.1:8786")
+        raise BadInput("with Dask, give the address of its scheduler, such as tcp://10.0.0.1:8786")
     try:
         client = Client(scheduler, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
-        raise CampaignError(f"no Dask scheduler answers at {scheduler} ({error})") from error
+        raise BadInput(f"no Dask scheduler answers at {scheduler} ({error})") from error
     with client:
         killed: list[TrialSpec] = []
         futures = {
@@ -254,6 +246,15 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
                 yield client.submit(TrialSpec.run, spec, pure=False).result()
             except KilledWorker:
                 yield TrialOutcome(spec, None, CRASHED)
+
+
+def by_object(outcomes: Sequence[TrialOutcome]) -> dict[str, list[TrialOutcome]]:
+    """Outcomes of the trials that did not fail, by the name of the object."""
+    found: dict[str, list[TrialOutcome]] = {}
+    for outcome in outcomes:
+        if outcome.result is not None:
+            found.setdefault(outcome.spec.parameters["object_name"], []).append(outcome)
+    return found
 
 
 _LEVEL = 0.95  # of all intervals

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -17,7 +18,7 @@ from slipmap.models.geometry import placed, seen_from
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.measurements.motion import interpolated, smooth_track
-from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
+from slipmap.models.measurements.push_dataset import Noise, dataset_of
 from slipmap.models.measurements.trial import Channel
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
@@ -72,12 +73,11 @@ class DirectWorld(ABC):
     """
 
     finger_radius = FINGER_RADIUS
+    table = ROUND_TABLE
+    _step: ClassVar[float]  # time step of the finger's path, s; a whole fraction of `PERIOD`
 
-    def __init__(
-        self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
-    ) -> None:
+    def __init__(self, true_object: TrueObject, noise: WorldNoise | None = None) -> None:
         self.true_object = true_object
-        self.table = table
         self.noise = noise or WorldNoise()
         self.pushes = 0
         self._rng = np.random.default_rng(0)
@@ -199,11 +199,6 @@ class DirectWorld(ABC):
         corners = placed(self.true_object.grid.exterior, self._seen)
         return bool((self.table.margin(corners) > 0.0).all())
 
-    @property
-    @abstractmethod
-    def _step(self) -> float:
-        """Time step of the finger's path, s; a whole fraction of `PERIOD`."""
-
     @abstractmethod
     def _place(self, pose: FloatArray) -> None:
         """Place the object at rest, with the finger away."""
@@ -243,7 +238,6 @@ def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:
     return np.array([pose[0], pose[1], pose[2] + 2 * np.pi * turns])
 
 
-TRUTHS = ("plant", "bullet")  # Drake's MultibodyPlant, and Bullet, which needs the `bench` extra
 _MOST_PUSHES = 5  # for identifying an object, as in the paper
 
 
@@ -251,20 +245,21 @@ _MOST_PUSHES = 5  # for identifying an object, as in the paper
 def world_of(truth: str, object_name: str) -> DirectWorld:
     """The world of one of the paper's objects on the paper's table, with the usual noise.
 
+    Args:
+        truth: `plant`, Drake's MultibodyPlant, or `bullet`.
+
     Raises:
-        ValueError: an unknown truth or object.
-        ModuleNotFoundError: Bullet is not installed.
+        ValueError: an unknown object.
+        ModuleNotFoundError: Bullet, of the extra `bench`, is not installed.
     """
     thing = benchmark_object(object_name)
-    if truth == "plant":
-        from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-
-        return PlantWorld(thing)
     if truth == "bullet":
         from slipmap.diagrams.application.campaigns.bullet_world import BulletWorld
 
         return BulletWorld(thing)
-    raise ValueError(f"unknown truth {truth!r}; choose one of {', '.join(TRUTHS)}")
+    from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
+
+    return PlantWorld(thing)
 
 
 def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial] = ()) -> PushDataset:

@@ -12,7 +12,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder
-from slipmap.diagrams.application.terminal import note, status, wait_for_enter
+from slipmap.diagrams.application.terminal import counted, note, status, wait_for_enter
 from slipmap.models.files import write_text, writing
 
 _PORT = 7000
@@ -141,7 +141,5 @@ def export(
         status(f"caution: {remark}")
     if height is None:
         status(f"caution: the height is assumed to be {DEFAULT_HEIGHT:g} m; give --height if it matters")
-    click.echo(
-        f"{len(paths)} model{'s' if len(paths) > 1 else ''}: {paths[0]}{' and so on' if paths[1:] else ''}"
-    )
+    click.echo(f"{counted(len(paths), 'model')}: {paths[0]}{' and so on' if paths[1:] else ''}")
     note(f"folder: {output}")

@@ -19,6 +19,7 @@ from slipmap.diagrams.application.commands.options import (
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import (
     Progress,
+    counted,
     note,
     prepare_kernels,
     wait_for_enter,
@@ -77,8 +78,10 @@ class CellRun(NamedTuple):
         """Address of a real cell; None for a simulated one."""
         return self.url if self.hardware else None
 
-    def check_outputs(self, json_file: Path | None) -> None:
-        """Refuse files that could not be written; the folder must exist, as they may lie in it.
+    def check_outputs(self, record: RunFolder, json_file: Path | None) -> None:
+        """Refuse files that could not be written, and say which earlier run in the folder gives way.
+
+        The folder must exist, as the files may lie in it.
 
         Raises:
             BadInput: see `check_output`.
@@ -87,6 +90,11 @@ class CellRun(NamedTuple):
             check_output(self.recording, ("html", "htm"))
         if json_file is not None:
             check_output(json_file)
+        if record.replaces:
+            note(
+                f"this run replaces the earlier one in {self.folder} ({counted(record.replaces)}); --output"
+                " chooses another folder"
+            )
 
     @contextmanager
     def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
@@ -269,13 +277,6 @@ def go_on_exploring(cell: CellRun) -> str:
     """The command that makes more pushes after those in a folder."""
     again = " --hardware" if cell.hardware else ""
     return f"`slipmap explore --after {typed(cell.folder)} --output FOLDER{again}`"
-
-
-def tell_replaced(record: RunFolder, folder: Path) -> None:
-    """Print that an earlier run in the folder gives way, if there is one."""
-    if record.replaces:
-        pushes = f"{record.replaces} push{'es' * (record.replaces > 1)}"
-        note(f"this run replaces the earlier one in {folder} ({pushes}); --output chooses another folder")
 
 
 def show_files(written: Mapping[str, Path]) -> None:

@@ -11,7 +11,14 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
+from slipmap.diagrams.application.terminal import (
+    Progress,
+    counted,
+    note,
+    paragraph,
+    prepare_kernels,
+    printable,
+)
 from slipmap.models.files import BadInput, all_or_nothing, write_json, write_text
 
 if TYPE_CHECKING:
@@ -66,11 +73,8 @@ def predict(
     from slipmap.diagrams.application.reports.tables import show_errors
     from slipmap.models.inference.hypotheses import unexplained_share
 
-    click.echo(
-        printable(
-            f"dataset {measured.name}: {_pushes(len(pushes))}; belief learned from dataset {belief.dataset}\n"
-        )
-    )
+    count = counted(len(pushes))
+    click.echo(printable(f"dataset {measured.name}: {count}; belief learned from dataset {belief.dataset}\n"))
     show_errors(pushes, measured, options.datasets_typed(), belief.effects)
     far_off = unexplained(unexplained_share(belief.settings)) if belief.dataset == measured.name else ""
     if far_off:
@@ -193,10 +197,10 @@ def _compare_together(datasets: Sequence[Path], effects: Sequence[Effect], wante
 
 def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
     trials = [{**push.to_json(), "predicted_end_hypotheses": push.hypotheses[:, -1]} for push in pushes]
-    means = {
-        f"{role}_error_mean": sum(push.final_add for push in group) / len(group) if group else None
-        for role, group in ((role, [p for p in pushes if p.role == role]) for role in ("fit", "heldout"))
-    }
+    means = {}
+    for role in ("fit", "heldout"):
+        errors = [push.final_add for push in pushes if push.role == role]
+        means[f"{role}_error_mean"] = sum(errors) / len(errors) if errors else None
     return {
         "dataset": dataset,
         "belief_dataset": belief.dataset,
@@ -212,11 +216,10 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
-    named = (
-        f"dataset {first.dataset}: {_pushes(len(first.pushes))}; model learned from dataset"
-        f" {first.learnt_from}\n"
+    count = counted(len(first.pushes))
+    click.echo(
+        printable(f"dataset {first.dataset}: {count}; model learned from dataset {first.learnt_from}\n")
     )
-    click.echo(printable(named))
     show_comparison(results)
     for text in findings(results):
         paragraph(text)
@@ -280,7 +283,7 @@ def diagnose(
         result = telling_push.diagnose(
             measured, effects=effects, draws=draws, quick=quick, seed=wanted.seed, progress=progress
         )
-        reported = not quick or options.asked_for("output")
+        reported = not quick or options.asked_for("--output")
         with all_or_nothing():
             if reported:
                 from slipmap.diagrams.application.reports.diagnosis_report import diagnosis_report
@@ -318,7 +321,3 @@ def _diagnose_together(
 
     show_together(result, measured, effects, where)
     note(f"report: {wanted.output}")
-
-
-def _pushes(count: int) -> str:
-    return f"{count} push{'es' * (count != 1)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder, check_output, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, status, table
+from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, status, table
 from slipmap.models.files import BadInput, all_or_nothing, write_json, write_text, writing
 
 if TYPE_CHECKING:
@@ -167,7 +168,6 @@ def import_files(
     """
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.importing import guess_setup, import_dataset
-    from slipmap.models.measurements.writing import is_imported, is_replaced
 
     if guess:
         if setup.exists():
@@ -180,28 +180,8 @@ def import_files(
         raise click.UsageError(
             "give a folder for the push dataset with -o DATASET, or write a setup with --guess"
         )
-    if not setup.exists():
-        raise BadInput(
-            f"{setup}: there is no such file; write a first setup with --guess, or name yours with --setup"
-        )
-    for source in sources:
-        if source.suffix in (".yaml", ".yml"):
-            raise BadInput(
-                f"{source}: name a setup with --setup (default: setup.yaml), not among the sources"
-            )
-    check_folder(output.absolute().parent, output)
     picture = output.absolute().with_name(f"{output.absolute().name}.png")
-    replaces = is_replaced(output.resolve(), overwrite=True)
-    if replaces and not is_imported(output):
-        raise BadInput(
-            f"{output}: the push dataset here was not made by an import, so it is not replaced; name another"
-            " folder with -o, or move this one away"
-        )
-    if not replaces and picture.exists():
-        raise BadInput(
-            f"{picture}: exists already, and no imported dataset is beside it whose picture it could be; name"
-            " another folder with -o, or move this file away"
-        )
+    _check_import(sources, setup, output, picture)
     with Progress() as progress:
         dataset = import_dataset(
             sources,
@@ -223,8 +203,38 @@ def import_files(
         if sentence not in warned:
             status(sentence)
     heldout = len(dataset.heldout_trials)
-    count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
-    click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
+    click.echo(f"{dataset.name}: {counted(len(dataset.trials))}, {heldout} of them held out")
     note(f"dataset: {output}\npicture: {picture if output.is_absolute() else os.path.relpath(picture)}")
     where = shlex.quote(str(output))
     note(f"Next: `slipmap check {where}`, then `slipmap identify {where} -o belief.npz`.")
+
+
+def _check_import(sources: Sequence[Path], setup: Path, output: Path, picture: Path) -> None:
+    """Refuse an import without a setup, and one that would replace something else than an earlier import.
+
+    Raises:
+        BadInput: see the message.
+    """
+    from slipmap.models.measurements.writing import is_imported, is_replaced
+
+    if not setup.exists():
+        raise BadInput(
+            f"{setup}: there is no such file; write a first setup with --guess, or name yours with --setup"
+        )
+    for source in sources:
+        if source.suffix in (".yaml", ".yml"):
+            raise BadInput(
+                f"{source}: name a setup with --setup (default: setup.yaml), not among the sources"
+            )
+    check_folder(output.absolute().parent, output)
+    replaces = is_replaced(output.resolve(), overwrite=True)
+    if replaces and not is_imported(output):
+        raise BadInput(
+            f"{output}: the push dataset here was not made by an import, so it is not replaced; name another"
+            " folder with -o, or move this one away"
+        )
+    if not replaces and picture.exists():
+        raise BadInput(
+            f"{picture}: exists already, and no imported dataset is beside it whose picture it could be; name"
+            " another folder with -o, or move this file away"
+        )

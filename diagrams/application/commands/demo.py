@@ -9,7 +9,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
-from slipmap.diagrams.application.outputs import check_folder, lock_folder, make_folder
+from slipmap.diagrams.application.outputs import check_folder, take_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
 from slipmap.models.files import BadInput, all_or_nothing, write_json, writing
 
@@ -38,8 +38,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     """
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
-    make_folder(folder)
-    lock_folder(folder)
+    take_folder(folder)
     refuse_robots_pushes(folder, "--output")
     place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:

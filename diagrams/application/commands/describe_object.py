@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands.options import Option, count_option, output_option
-from slipmap.diagrams.application.terminal import note, printable, warnings_noted
+from slipmap.diagrams.application.terminal import counted, note, printable, warnings_noted
 from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
@@ -98,8 +98,7 @@ def size_in_words(grid: CellGrid) -> str:
     """Width and depth of an object, and the number of its openings."""
     low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
     size = " by ".join(f"{1e3 * side:.{int(side < 0.01)}f} mm" for side in high - low)
-    holes = len(grid.holes)
-    return f"{size} with {holes} opening{'s' * (holes > 1)}" if holes else size
+    return f"{size} with {counted(len(grid.holes), 'opening')}" if grid.holes else size
 
 
 def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:

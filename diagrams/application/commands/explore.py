@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,15 +13,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import lock_folder, make_folder
-from slipmap.diagrams.application.terminal import note, paragraph, table
+from slipmap.diagrams.application.outputs import take_folder
+from slipmap.diagrams.application.terminal import counted, note, paragraph, table
 from slipmap.models.files import BadInput, all_or_nothing, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
     from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
     from slipmap.diagrams.loops.run_folder import RunFolder
+    from slipmap.diagrams.station.scenario import Scenario
     from slipmap.diagrams.systems.model_monitor import Watch
 
 
@@ -53,9 +56,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @options.seed_option
 @options.json_in_folder_option
-@click.pass_context
 def explore(
-    context: click.Context,
     object_name: str | None,
     scenario_file: Path | None,
     pushes: int,
@@ -80,26 +81,25 @@ def explore(
 
     The robot is simulated unless --hardware is given.
     """
-    from slipmap.diagrams.loops import exploration_run
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
-    from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationFolder, is_complete, resumed
+    from slipmap.diagrams.loops.run_folder import PUSHES, is_complete, resumed
 
     before = None
     if resume is not None:
-        settled = (
-            "object", "scenario", "output", "effect", "after", "pushes", "checks", "strategy", "seed", "adapt"
+        options.refuse(
+            "--object", "--scenario", "--pushes", "--checks", "--strategy", "--effect", "--adapt", "--output",
+            "--after", "--seed", because="--resume keeps the options of the run",
         )  # fmt: skip
-        _refuse_beside(context, "--resume keeps the options of the run", *settled)
         cell = cell._replace(folder=resume)
         scenario, wanted, before = resumed(resume)
     else:
         if adapt:
-            _refuse_beside(context, "--adapt learns from every push", "checks")
+            options.refuse("--checks", because="--adapt learns from every push")
             checks = 0
         if after is None:
             scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
         else:
-            _refuse_beside(context, "--after uses the cell of the earlier run", "object", "scenario")
+            options.refuse("--object", "--scenario", because="--after uses the cell of the earlier run")
             if after.resolve() == cell.folder.resolve():
                 raise BadInput(
                     f"--after {after}: this run would write there too; name another folder with --output"
@@ -121,20 +121,38 @@ def explore(
     if before is not None and cell.hardware is not before.of_a_real_cell:
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to continue it")
+    made = all((cell.folder / name).is_file() for name in ("belief.npz", "report.html"))
     asks_nothing = json_file is None and cell.recording is None
-    made = resume is not None and all((resume / name).is_file() for name in ("belief.npz", "report.html"))
     if resume is not None and asks_nothing and made and is_complete(resume):
         note(
             f"{resume}: this run is complete, nothing is left to do;"
             f" {cell_run.go_on_exploring(cell)} makes more pushes"
         )
         return
-    make_folder(cell.folder)
-    lock_folder(cell.folder)
-    record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
-    cell.check_outputs(json_file)
-    cell_run.tell_replaced(record, cell.folder)
-    if before is not None and resume is None:
+    _explore(cell, scenario, wanted, before, json_file, resumes=resume is not None)
+
+
+def _explore(
+    cell: cell_run.CellRun,
+    scenario: Scenario,
+    wanted: LoopOptions,
+    before: RecordedRun | None,
+    json_file: Path | None,
+    *,
+    resumes: bool,
+) -> None:
+    """Run an exploration, and write and print what it learned.
+
+    Args:
+        before: what an earlier run recorded: this one, if it `resumes`, or that named with --after.
+    """
+    from slipmap.diagrams.loops import exploration_run
+    from slipmap.diagrams.loops.run_folder import ExplorationFolder
+
+    take_folder(cell.folder)
+    record = ExplorationFolder(cell.folder, scenario, wanted, before if resumes else None)
+    cell.check_outputs(record, json_file)
+    if before is not None and not resumes:
         record.keep(before)
     failure, stopped = "", False
     with cell.in_view() as (meshcat, progress):
@@ -146,7 +164,7 @@ def explore(
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
             if error.run is None:
-                raise _ended(error, record, stopped) from error
+                raise _ended(error, record) from error
             run, failure = error.run, f"{error}."
         with record.going_on(len(run.dataset.trials)), all_or_nothing():
             written = cell_run.leave(
@@ -167,9 +185,11 @@ def explore(
     note(f"Next: {_next_step(cell, wrong=surprised or run.watch.alarm)}.")
 
 
-def _ended(error: Exception, record: RunFolder, stopped: bool) -> click.Abort | click.ClickException:
-    """What ends a command whose run recorded nothing; Ctrl-C leaves no file."""
-    if not stopped:
+def _ended(error: Exception, record: RunFolder) -> click.Abort | click.ClickException:
+    """The exception that ends a command whose run recorded nothing; after Ctrl-C, no file is left."""
+    from slipmap.diagrams.loops.exploration_run import ExplorationStopped
+
+    if not isinstance(error, ExplorationStopped):
         return click.ClickException(str(error))
     record.leave_none()
     return click.Abort()
@@ -225,7 +245,7 @@ def pregrasp(
     """
     from slipmap.diagrams.loops import pregrasp_loop
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
-    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed
     from slipmap.diagrams.loops.run_folder import PregraspFolder
 
     scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
@@ -234,11 +254,9 @@ def pregrasp(
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known for simulated objects only; choose another method")
-    make_folder(cell.folder)
-    lock_folder(cell.folder)
+    take_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario, repeatable=not cell.hardware)
-    cell.check_outputs(json_file)
-    cell_run.tell_replaced(record, cell.folder)
+    cell.check_outputs(record, json_file)
     try:
         with cell.in_view() as (meshcat, progress):
             run = pregrasp_loop.pregrasp(
@@ -253,7 +271,7 @@ def pregrasp(
                 record.end()
                 write_json(json_file, {**_learned_json(explored), "pregrasp": run})
     except ExplorationFailed as error:
-        raise _ended(error, record, isinstance(error, ExplorationStopped)) from error
+        raise _ended(error, record) from error
     _show_exploration(run.exploration, goes_on=False)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder, run.explorations)
@@ -262,19 +280,6 @@ def pregrasp(
     if not run.held:
         kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
         raise cell_run.Stopped(kept) if run.interrupted else click.ClickException(kept)
-
-
-def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
-    """Refuse options, by name, that another option already determines.
-
-    Raises:
-        BadInput: one of them was given.
-    """
-    for parameter in context.command.params:
-        name = parameter.opts[-1].removeprefix("--")
-        given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
-        if name in settled and given:
-            raise BadInput(f"{because}; leave out --{name}")
 
 
 def _learned_json(run: ExplorationRun) -> dict[str, Any]:
@@ -363,7 +368,7 @@ def _monitor_words(watch: Watch, *, goes_on: bool = True) -> str:
     if not watch.judged:
         return "Monitor: no push was made after the first belief, so there was nothing to check it against."
     largest = max(push.misfit for push in watch.judged)
-    count = f"{len(watch.judged)} push{'es' * (len(watch.judged) > 1)}"
+    count = counted(len(watch.judged))
     numbers = f"{count} compared with the belief before each; largest misfit {largest:.1f} (typically 1)"
     outside = [push for push in watch.judged if push.surprising]
     if outside:
@@ -373,26 +378,24 @@ def _monitor_words(watch: Watch, *, goes_on: bool = True) -> str:
             f"; {len(outside)} outside the 95 % region, the worst being push {worst.trial:03d}, which ended"
             f" {error} mm from the prediction of the belief at that time ({allowed} mm at most were expected)"
         )
-    peak = max(push.evidence for push in watch.judged)
-    if any(push.alarm for push in watch.judged):
-        first = next(push for push in watch.judged if push.alarm)
+    if first := next((push for push in watch.judged if push.alarm), None):
         return (
             f"Monitor: ALARM from push {first.trial:03d} on{'' if watch.alarm else ', since withdrawn'}"
             f" ({first.cause}): {numbers}."
             " The object does not move as the model predicts. `slipmap diagnose` may say why"
             f"{', and `slipmap explore --after` continues with the effect that it names' * goes_on}."
         )
+    peak = max(push.evidence for push in watch.judged)
     return f"Monitor: no alarm; {numbers}, largest evidence {peak:.1f} (alarm at {1 / LEVEL:.0f})."
 
 
 def _show_pregrasp(run: PregraspRun) -> None:
     rows = []
     for number, push in enumerate(run.to_json()["pushes"], 1):
-        off = [1e3 * (push["after"][k] - push["goal"][k]) for k in range(2)]
         rows.append(
             [
                 str(number),
-                f"{(off[0] ** 2 + off[1] ** 2) ** 0.5:.0f}",
+                f"{1e3 * math.dist(push['after'][:2], push['goal'][:2]):.0f}",
                 f"{100 * push['success_probability']:.0f}",
                 f"{100 * push['fall_probability']:.0f}",
                 f"{1e3 * push['margin']:.0f}",
@@ -407,9 +410,9 @@ def _show_pregrasp(run: PregraspRun) -> None:
             numbers=(0, 1, 2, 3, 4),
         )
     if run.held:
-        count = len(run.pushes)
-        pushes = f"{count} push{'es' * (count != 1)}"
-        paragraph(f"After {pushes}, the gripper grasped the object at the edge and holds it.")
+        paragraph(
+            f"After {counted(len(run.pushes))}, the gripper grasped the object at the edge and holds it."
+        )
     else:
         paragraph(f"The object is not held: {run.reason}.")
     if run.true_height is not None and run.fate != ("held" if run.held else "gave up"):

@@ -15,7 +15,14 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_output, make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
+from slipmap.diagrams.application.terminal import (
+    Progress,
+    counted,
+    note,
+    paragraph,
+    prepare_kernels,
+    printable,
+)
 from slipmap.models.files import BadInput, all_or_nothing, whole_file, write_json
 
 if TYPE_CHECKING:
@@ -64,9 +71,7 @@ class _Learning(NamedTuple):
     help="How to find the maps; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
 )
 @click.option(
-    "--plain",
-    is_flag=True,
-    help="Consider Coulomb's law of friction only, which takes a third of the time.",
+    "--plain", is_flag=True, help="Consider Coulomb's law of friction only, which takes a third of the time."
 )
 @options.hypotheses_option
 @options.seed_option
@@ -97,10 +102,7 @@ def identify(dataset: Path, method: str, plain: bool, fit_pushes: int | None, wa
 
 
 def _learned(
-    dataset: Path,
-    wanted: _Learning,
-    learn: Callable[..., Identification],
-    fit_pushes: int | None = None,
+    dataset: Path, wanted: _Learning, learn: Callable[..., Identification], fit_pushes: int | None = None
 ) -> tuple[Identification, PushDataset, list[Path]]:
     """Learn from a dataset, write and show the result; returns it with the dataset and its pictures."""
     with Progress() as progress:
@@ -241,14 +243,14 @@ def keep(
     paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
     progress("drawing", 1, 2)
     shown = _chosen(result.pushes)
-    title = ""
+    some = ""
     if len(shown) < len(result.pushes):
-        count = f"{len(shown)} of {len(result.pushes)} pushes"
-        title = f"{dataset.name}: {count}, from best to worst predicted"
+        some = f"{len(shown)} of {len(result.pushes)} pushes, from best to worst predicted"
+    title = f"{dataset.name}: {some}" if some else ""
     paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(shown, dataset, title=title))
     progress("drawing", 2, 2)
-    if title:
-        note(f"the picture of pushes shows {title.partition(': ')[2]}; --json writes all")
+    if some:
+        note(f"the picture of pushes shows {some}; --json writes all")
     return paths
 
 
@@ -283,8 +285,7 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     drawn = f" ({belief.taught} of them, drawn at random, were learned from)" if some else ""
     click.echo(
         f"dataset {printable(dataset.name)}: {len(dataset.grid)} cells;"
-        f" {fit} push{'es' * (fit != 1)} to fit{drawn},"
-        f" {len(dataset.heldout_trials)} held out\n"
+        f" {counted(fit)} to fit{drawn}, {len(dataset.heldout_trials)} held out\n"
         f"{len(belief)} hypotheses found in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where, belief.effects)

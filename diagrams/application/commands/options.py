@@ -40,7 +40,7 @@ class OutputFile(click.ParamType):
 
 
 def bundled(name: str, kind: Any) -> Option:
-    """Passes options to a command as one argument: the NamedTuple `kind` of their values, called `name`."""
+    """Pass the options that are fields of the NamedTuple `kind` to a command as one argument `name`."""
 
     def decorate(command: Any) -> Any:
         @wraps(command)
@@ -190,8 +190,21 @@ explorations_option = count_option("--pushes", most=100, default=5, about="Pushe
 
 
 def asked_for(option: str) -> bool:
-    """Whether an option of the running command was given rather than left at its default."""
-    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
+    """Whether an option of the running command, such as `--seed`, was given, not left at its default."""
+    context = click.get_current_context()
+    (name,) = [param.name for param in context.command.params if param.opts[-1] == option]
+    return context.get_parameter_source(name or "") is not ParameterSource.DEFAULT
+
+
+def refuse(*settled: str, because: str) -> None:
+    """Refuse options that another option already determines.
+
+    Raises:
+        BadInput: one of them was given.
+    """
+    for option in settled:
+        if asked_for(option):
+            raise BadInput(f"{because}; leave out {option}")
 
 
 def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
@@ -206,12 +219,7 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
 
 
 def load_dataset(
-    path: Path,
-    object_name: str | None,
-    progress: Progress,
-    maps: Path | None = None,
-    *,
-    named: bool = False,
+    path: Path, object_name: str | None, progress: Progress, maps: Path | None = None, *, named: bool = False
 ) -> PushDataset:
     """Read a dataset with progress, and print warnings about it.
 
@@ -256,7 +264,7 @@ def load_together(
         DatasetError: a dataset cannot be used.
     """
     for option in (*one_only, "--maps"):
-        if asked_for("belief_file" if option == "--belief" else option.strip("-")):
+        if asked_for(option):
             raise BadInput(
                 f"{option} is for one dataset; leave it out for several (known maps belong under `known` in"
                 " each dataset.yaml)"

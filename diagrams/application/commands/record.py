@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import check_folder, check_output, lock_folder, make_folder
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
+from slipmap.diagrams.application.outputs import check_folder, check_output, take_folder
+from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, prepare_kernels, status
 from slipmap.models.files import BadInput, all_or_nothing, write_json, writing
 
 if TYPE_CHECKING:
@@ -109,8 +109,7 @@ def replay(
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
     scenario = cell_run.scenario_of(scenario_file, None)
-    make_folder(folder)
-    lock_folder(folder)
+    take_folder(folder)
     refuse_robots_pushes(folder, "--output")
     if json_file is not None:
         check_output(json_file)
@@ -174,7 +173,7 @@ def _lag_words(lag: CameraLag | None) -> str:
     if lag is None:
         return "Camera: its latency cannot be estimated, because the object was not seen while it moved."
     value, low, high = (1e3 * number for number in (lag.value, lag.low, lag.high))
-    numbers = f"{low:.0f} to {high:.0f} ms, from {lag.pushes} push{'es' * (lag.pushes > 1)}"
+    numbers = f"{low:.0f} to {high:.0f} ms, from {counted(lag.pushes)}"
     if not lag.shown:
         return f"Camera: no latency relative to the arm is visible ({numbers})."
     which = "late" if value > 0 else "early"

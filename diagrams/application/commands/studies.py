@@ -24,8 +24,8 @@ import click
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
-from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.diagrams.application.outputs import take_folder, write_figures
+from slipmap.diagrams.application.terminal import Progress, counted, note, paragraph, prepare_kernels, table
 from slipmap.diagrams.systems.workers import deaf_workers, prepare_worker
 from slipmap.models.files import PART, BadInput, all_or_nothing, remove_part, write_json, write_text
 
@@ -64,8 +64,7 @@ def explore_study(
     from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
 
     names = tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
-    make_folder(folder)
-    lock_folder(folder)
+    take_folder(folder)
     prepare_kernels()
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     for name in names:
@@ -262,8 +261,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     in DIR are kept, so a stopped run continues; only failures are tried again. Writes score.md and
     score.json. A dataset takes about half a minute to simulate.
     """
-    make_folder(output)
-    lock_folder(output)
+    take_folder(output)
     prepare_kernels()
     cases = [_Case(output, number) for number in range(seed, seed + count)]
     waiting = [case for case in cases if not case.result.exists()]
@@ -271,8 +269,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
         note(f"{count - len(waiting)} of {count} datasets are already diagnosed in {output}")
     if waiting:
         at_once = f", {jobs} at a time" if jobs > 1 and len(waiting) > 1 else ""
-        what = f"{len(waiting)} dataset{'s' * (len(waiting) > 1)}"
-        note(f"{what} to simulate and diagnose{at_once}; about a minute each …")
+        note(f"{counted(len(waiting), 'dataset')} to simulate and diagnose{at_once}; about a minute each …")
     started = time.monotonic()
     for done, (case, outcome) in enumerate(_run_all(waiting, jobs), start=1):
         left = (time.monotonic() - started) / done * (len(waiting) - done)
@@ -436,7 +433,7 @@ def campaign(
     """
     from joblib import cpu_count
 
-    from slipmap.diagrams.application.campaigns.trials import CampaignError, run_trials
+    from slipmap.diagrams.application.campaigns.trials import run_trials
 
     if scheduler is not None and backend != "dask":
         raise BadInput("--scheduler is for --backend dask alone; add that, or leave --scheduler out")
@@ -445,24 +442,20 @@ def campaign(
     chosen = experiment_of(experiment)
     names = _checked(object_names or chosen.objects)
     files = folder / f"{experiment}-{truth}"
-    make_folder(files)
-    lock_folder(files)
+    take_folder(files)
     prepare_kernels()
-    try:
-        specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
-        if truth == "bullet" and find_spec("pybullet") is None:
-            raise BadInput("Bullet is not installed; install it with `pip install 'slipmap[bench]'`")
-        with Progress() as progress:
-            outcomes = run_trials(
-                specs,
-                files,
-                backend=backend,
-                workers=workers or cpu_count(),
-                scheduler=scheduler,
-                progress=lambda done, total: progress(f"{experiment}, trials", done, total),
-            )
-    except CampaignError as error:
-        raise BadInput(str(error)) from error
+    specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
+    if truth == "bullet" and find_spec("pybullet") is None:
+        raise BadInput("Bullet is not installed; install it with `pip install 'slipmap[bench]'`")
+    with Progress() as progress:
+        outcomes = run_trials(
+            specs,
+            files,
+            backend=backend,
+            workers=workers or cpu_count(),
+            scheduler=scheduler,
+            progress=lambda done, total: progress(f"{experiment}, trials", done, total),
+        )
     summary = chosen.summary(outcomes)
     picture = folder / f"{experiment}-{truth}.png"
     document = summary.document | {
@@ -535,9 +528,9 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
     my_engine.py:Engine (docs/audit.md says what it needs). Probes name the defects, each with a size and an
     uncertainty; 24 pushes of an object with known maps measure their cost in millimetres.
     """
-    from slipmap.diagrams.application.audit import engines as known
+    from slipmap.diagrams.application.audit.engines import find_engine
 
-    subjects = [known.find_engine(spec) for spec in engines]
+    subjects = [find_engine(spec) for spec in engines]
     with Progress() as progress:
         prepare_kernels()
         from slipmap.diagrams.application.audit.procedure import (

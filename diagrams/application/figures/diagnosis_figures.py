@@ -23,9 +23,9 @@ from slipmap.models.inference.diagnosis.results import (
     ParameterEstimate,
 )
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.planners.rehearsal import predict
+from slipmap.planners.rehearsal import Predictions, predict
 from slipmap.planners.telling_push import push_of, rivals_of
 
 _NAMES, _PANEL, _ROW = 1.68, 2.1, 0.235  # inches
@@ -278,19 +278,30 @@ def telling_push_figure(told: dict[str, Any] | None, diagnosis: Diagnosis, datas
         handles.append(Line2D([], [], color=colour, label=rival.name))
     figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), _LEGEND_COLUMNS))
     if len(rivals) > 1:
-        times = np.asarray(push.pose_times)
-        height = (top - bottom - 0.06) / 2
-        lower = figure.add_axes((0.64, bottom, 0.34, height))
-        upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
-        for predicted, colour in zip(predictions, _COLOURS, strict=False):
-            apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
-            upper.plot(times, 1e3 * apart, color=colour)
-            lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
-        upper.set(ylabel="distance from\nfirst model, mm", ylim=(0, None))
-        upper.tick_params(labelbottom=False)
-        lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
-        upper.yaxis.label.set_fontsize(8)
+        _over_time(figure, bottom, top, np.asarray(push.pose_times), predictions, grid)
     return figure
+
+
+def _over_time(
+    figure: Figure,
+    bottom: float,
+    top: float,
+    times: FloatArray,
+    predictions: Sequence[Predictions],
+    grid: CellGrid,
+) -> None:
+    """Draw how far predictions are from the first one, and the forces of all, at times (T,), s."""
+    height = (top - bottom - 0.06) / 2
+    lower = figure.add_axes((0.64, bottom, 0.34, height))
+    upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
+    for predicted, colour in zip(predictions, _COLOURS, strict=False):
+        apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
+        upper.plot(times, 1e3 * apart, color=colour)
+        lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
+    upper.set(ylabel="distance from\nfirst model, mm", ylim=(0, None))
+    upper.tick_params(labelbottom=False)
+    lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
+    upper.yaxis.label.set_fontsize(8)
 
 
 def _table_edge(axes: Axes, dataset: PushDataset) -> None:

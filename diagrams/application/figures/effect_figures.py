@@ -27,6 +27,7 @@ _MASS, _FRICTION, _FINGER_FRICTION, _RADIUS = 0.8, 0.25, 0.4, 0.008
 _SPEED, _RAMP, _WAY, _OFF_CENTRE, _STEP, _REST = 0.15, 0.3, 0.12, 0.008, 1e-3, 0.2
 _START = np.array([-0.06, -0.03, 0.3])
 _ORDER = 10
+_SMOOTHING = Smoothing(penetration=1e-4)
 _TINTS = (0.35, 0.6, 1.0)
 
 _SIZE_LINE, _MEANING, _FORMULA = 0.18, 0.28, 0.42  # inches
@@ -54,15 +55,13 @@ def effect_figure(effect: Effect) -> Figure:
             f"effect_figure draws an Effect, such as (tilt,) = slipmap.effects_named(['table_tilt']), not a"
             f" {type(effect).__name__}"
         )
-    grid = _brick()
-    push = _push()
-    maps = _maps(grid)
-    smoothing = Smoothing(penetration=1e-4)
-    plain = Slider(grid, _RADIUS, smoothing=smoothing).rollout(maps, [push])
-    values = _shown_values(effect, grid, push, plain)
+    grid, push = _brick(), _push()
+    plain = Slider(grid, _RADIUS, smoothing=_SMOOTHING).rollout(_maps(grid, np.zeros((1, 0))), [push])
+    slider = Slider(grid, _RADIUS, effects=[effect], smoothing=_SMOOTHING)
+    values = _shown_values(effect, slider, push, plain)
     rows = np.vstack([effect.nulls + share * (values - effect.nulls) for share in _SHARES])
     rows = np.where(effect.amplitudes, rows, values)
-    out = Slider(grid, _RADIUS, effects=[effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
+    out = slider.rollout(_maps(grid, rows), [push])
 
     text = written(effect)
     size = textwrap.wrap(f"Full size: {_numbers(effect, text, values)}.", 125, break_on_hyphens=False)
@@ -120,17 +119,10 @@ def _brick() -> CellGrid:
     return CellGrid(np.column_stack([x.ravel(), y.ravel()]), width, corners)
 
 
-def _maps(grid: CellGrid) -> Maps:
-    n = len(grid)
-    return Maps(np.full((1, n), _MASS / n), np.full((1, n), _FRICTION), np.array([_FINGER_FRICTION]))
-
-
-def _with(maps: Maps, rows: FloatArray) -> Maps:
-    """One object with K rows of parameters."""
-    K = len(rows)
-    return Maps(
-        np.repeat(maps.mass, K, axis=0), np.repeat(maps.mu, K, axis=0), np.repeat(maps.mu_finger, K), rows
-    )
+def _maps(grid: CellGrid, rows: FloatArray) -> Maps:
+    """One object with K rows of parameters (K, P)."""
+    K, n = len(rows), len(grid)
+    return Maps(np.full((K, n), _MASS / n), np.full((K, n), _FRICTION), np.full(K, _FINGER_FRICTION), rows)
 
 
 def _push() -> Push:
@@ -146,20 +138,18 @@ def _push() -> Push:
     )
 
 
-def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -> FloatArray:
+def _shown_values(effect: Effect, slider: Slider, push: Push, plain: Rollouts) -> FloatArray:
     """(P,) parameters at which the effect is clearly visible: the start value of a search at which it shows
     best, at the smallest power of two of its scale that suffices."""
-    weight = _MASS * 9.81
+    grid, weight = slider.grid, _MASS * 9.81
     scene = Scene((0.0, 0.0), 0.12, 0.072, _SPEED, 20, weight)
     low, high = bounds([effect])
     starts = effect.start_values(scene)
     size = scales([effect], weight)
-    slider = Slider(grid, _RADIUS, effects=[effect], smoothing=Smoothing(penetration=1e-4))
-    maps = _maps(grid)
     best, reached = starts[0], 0.0
     for doubling in range(7):
         rows = np.where(effect.amplitudes, np.clip(effect.nulls + 2.0**doubling * size, low, high), starts)
-        out = slider.rollout(_with(maps, rows), [push])
+        out = slider.rollout(_maps(grid, rows), [push])
         gap = np.array([add(poses, plain.poses[0], grid.centers).max() for poses in out.poses])
         before = float(np.hypot(*plain.forces[0].T).mean())
         change = np.abs(np.hypot(*np.moveaxis(out.forces, -1, 0)).mean(axis=1) / before - 1)

@@ -229,11 +229,13 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     figure = Figure(figsize=(_WIDTH, height))
     axes = figure.add_axes((0.085, below / height, 0.905, 2.27 / height))
     x = np.arange(len(pushes))
-    for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
-        label = {"resting": "object does not move", "uniform": "uniform object"}[name]
-        values = [1e3 * getattr(push, name).final_add for push in pushes]
+    for baseline, marker, size, label in (
+        ([push.resting for push in pushes], "_", 8.0, "object does not move"),
+        ([push.uniform for push in pushes], "D", 3.6, "uniform object"),
+    ):
+        values = [1e3 * errors.final_add for errors in baseline]
         axes.plot(
-            x, values, marker, color=colour, markersize=size, markeredgewidth=1.3, label=label,
+            x, values, marker, color=FAINT, markersize=size, markeredgewidth=1.3, label=label,
             markerfacecolor="white", linestyle="none",
         )  # fmt: skip
     # The first of two models is a ring, so that the second does not hide it at the same place.
@@ -249,18 +251,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
         floor = 1e3 * first.floor.add
         label = f"noise floor {floor:.2g} mm ({first.floor.source})"
         axes.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label=label)
-    fitted = sum(push.role == "fit" for push in pushes)
-    if 0 < fitted < len(pushes):
-        axes.axvspan(fitted - 0.5, len(pushes) - 0.5, color="#f6f4ef", linewidth=0, zorder=0)
-    for middle, name, count in (
-        ((fitted - 1) / 2, "fit", fitted),
-        ((fitted + len(pushes) - 1) / 2, "held out", len(pushes) - fitted),
-    ):
-        if count:
-            axes.annotate(
-                name, (middle, 1.0), (0, 3), xycoords=("data", "axes fraction"), textcoords="offset points",
-                ha="center", fontsize=8.5, color=INK,
-            )  # fmt: skip
+    _name_roles(axes, sum(push.role == "fit" for push in pushes), len(pushes))
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(style.PlainNumbers())
@@ -269,6 +260,18 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     style.light_grid(axes, "y")
     figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
     return figure
+
+
+def _name_roles(axes: Axes, fitted: int, count: int) -> None:
+    """Write the roles above `count` pushes, the first `fitted` of them fit pushes, and shade the others."""
+    if 0 < fitted < count:
+        axes.axvspan(fitted - 0.5, count - 0.5, color="#f6f4ef", linewidth=0, zorder=0)
+    for name, first, end in (("fit", 0, fitted), ("held out", fitted, count)):
+        if end > first:
+            axes.annotate(
+                name, ((first + end - 1) / 2, 1.0), (0, 3), xycoords=("data", "axes fraction"),
+                textcoords="offset points", ha="center", fontsize=8.5, color=INK,
+            )  # fmt: skip
 
 
 _MOST_DRAWN = 24  # pushes

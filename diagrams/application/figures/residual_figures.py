@@ -80,10 +80,8 @@ def _wanted(comparison: Comparison, quantity: str) -> Residuals:
 
 def pattern_of(comparison: Comparison, factor: str, quantity: str) -> Pattern | None:
     """The pattern of one factor, or None where it was not tested."""
-    for pattern in comparison.structure:
-        if (pattern.factor, pattern.quantity) == (factor, quantity):
-            return pattern
-    return None
+    tested = (p for p in comparison.structure if (p.factor, p.quantity) == (factor, quantity))
+    return next(tested, None)
 
 
 def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> FloatArray:

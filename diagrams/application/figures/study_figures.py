@@ -257,9 +257,8 @@ def prices_figure(prices: Mapping[str, float]) -> Figure:
     """Bars of each engine's price (m): mean distance from Coulomb's law at the ends of pushes."""
     figure = Figure(figsize=(7.2, 0.5 + 0.28 * len(prices)), layout="constrained")
     axes = figure.add_subplot()
-    names = list(prices)
-    values = 1e3 * np.array([prices[name] for name in names])
-    axes.barh(names, values, color=BELIEF, height=0.6)
+    values = 1e3 * np.array(list(prices.values()))
+    axes.barh(list(prices), values, color=BELIEF, height=0.6)
     for place, value in enumerate(values):
         axes.annotate(
             f"{value:.2f}", (value, place), (3, 0), textcoords="offset points", va="center", fontsize=8

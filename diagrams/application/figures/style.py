@@ -1,7 +1,7 @@
 """Shared drawing of all figures: outlines, cells, scale bars, and saving."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -93,8 +93,9 @@ def draw_outline(
         1
     """
     shape = outline_path(grid, pose)
-    how = {"facecolor": fill, "edgecolor": color, "linewidth": width, "alpha": alpha, "zorder": zorder}
-    axes.add_artist(PathPatch(shape, **how))
+    axes.add_artist(
+        PathPatch(shape, facecolor=fill, edgecolor=color, linewidth=width, alpha=alpha, zorder=zorder)
+    )
     # `add_patch` would search each side for extremes of a curve, which takes longer than drawing.
     axes.update_datalim(shape.vertices)
 
@@ -102,14 +103,10 @@ def draw_outline(
 def draw_faint_outlines(axes: Axes, grid: CellGrid, poses: ArrayLike, alpha: float) -> None:
     """Outlines of an object at many poses (K, 3) in the world, m and rad; faster than one by one."""
     shapes = [outline_path(grid, pose) for pose in np.asarray(poses, dtype=float)]
-    how: dict[str, Any] = {
-        "facecolors": "none",
-        "edgecolors": BELIEF,
-        "linewidths": 0.8,
-        "alpha": alpha,
-        "zorder": 1.0,
-    }
-    axes.add_collection(PathCollection(shapes, **how), autolim=False)
+    drawn = PathCollection(
+        shapes, facecolors="none", edgecolors=BELIEF, linewidths=0.8, alpha=alpha, zorder=1.0
+    )
+    axes.add_collection(drawn, autolim=False)
 
 
 def draw_finger(axes: Axes, begin: ArrayLike, end: ArrayLike, radius: float, width: float = 1.0) -> None:

@@ -13,6 +13,7 @@ from slipmap.diagrams.application.figures.residual_figures import pattern_of
 from slipmap.diagrams.application.reports import comparison_words as words
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
 from slipmap.diagrams.application.reports.tables import joint_rows
+from slipmap.diagrams.application.terminal import counted
 from slipmap.models.inference.comparison import Comparison, JointComparison
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Prediction
@@ -69,10 +70,8 @@ def comparison_report(
     """
     first = comparisons[0]
     learned = "" if first.learnt_from == first.dataset else f", model learned from {first.learnt_from}"
-    count = len(first.pushes)
-    subtitle = (
-        f"{count} measured push{'es' * (count != 1)} of {len(dataset.grid)} cells{learned}; seed {first.seed}"
-    )
+    pushes = counted(len(first.pushes), "measured push")
+    subtitle = f"{pushes} of {len(dataset.grid)} cells{learned}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model and measurement"
     last = comparisons[-1]
@@ -376,7 +375,7 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
     head = f"{comparison.label}: " if named else ""
     count = max((pattern.pushes for pattern in comparison.structure), default=0)
     caption = (
-        f"{head}{len(rows)} tests over {count} push{'es' * (count != 1)},"
+        f"{head}{len(rows)} tests over {counted(count)},"
         " each push counting once; marked where p, corrected for all tests, is below 5 %."
     )
     most = max(6, sum(marked))

@@ -1,5 +1,6 @@
 """The findings of a comparison in words, for terminal and report."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -219,8 +220,12 @@ def surprises(pushes: Sequence[Prediction], whose: str = "its") -> Surprises:
         f" {100 * LEVEL_INSIDE:.0f} % of such pushes should end within {allowed} mm."
     )
     if len(found) > 1:
-        also = _listed_names([short_name(push.trial) for push in found[1:]])
-        text += f" In all, {len(found)} of {count} pushes ended outside their 95 % regions (also {also})."
+        also = [short_name(push.trial) for push in found[1:]]
+        if len(also) > 5:
+            also[5:] = [f"{len(also) - 5} more"]
+        text += (
+            f" In all, {len(found)} of {count} pushes ended outside their 95 % regions (also {listed(also)})."
+        )
     if not beyond:
         text += (
             f" With a correct model, {max(1.0, (1.0 - LEVEL_INSIDE) * count):.0f} of {count} pushes may end"
@@ -235,9 +240,10 @@ def _surprises_of(comparison: Comparison) -> Surprises:
     return surprises([push for push in comparison.pushes if push.role == role])
 
 
-def _listed_names(names: Sequence[str]) -> str:
-    shown = list(names[:5]) + ([f"{len(names) - 5} more"] if len(names) > 5 else [])
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+def listed(names: Sequence[str]) -> str:
+    """One name or more in a sentence, such as `a, b and c`."""
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def summary_of_two(before: Comparison, after: Comparison) -> str:
@@ -293,7 +299,7 @@ def joint_findings(found: JointComparison) -> list[str]:
     last = [models[-1] for models in found.datasets]
     errors = {one.dataset: judged(one)[1].model.final_add for one in last}
     uniform = sum(judged(one)[1].uniform.final_add for one in last) / len(last)
-    best, worst = min(errors, key=lambda name: errors[name]), max(errors, key=lambda name: errors[name])
+    best, worst = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
     mean = sum(errors.values()) / len(errors)
     which = f" {last[0].label}" if found.fitted is not None else ""
     text = (
@@ -373,10 +379,7 @@ def p_text(p: float) -> str:
 
 def pushes_needed(tests: int) -> int:
     """Smallest number of pushes with which one of so many tests can become significant."""
-    count = 1
-    while smallest_p(count) * tests >= LEVEL:
-        count += 1
-    return count
+    return next(pushes for pushes in itertools.count(1) if smallest_p(pushes) * tests < LEVEL)
 
 
 def average(errors: Errors) -> str:

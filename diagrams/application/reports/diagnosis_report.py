@@ -15,6 +15,7 @@ from slipmap.diagrams.application.reports import diagnosis_words as phrases
 from slipmap.diagrams.application.reports.comparison_report import comparison_sections
 from slipmap.diagrams.application.reports.comparison_words import finding
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
+from slipmap.diagrams.application.terminal import counted
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis.locked import with_locked
@@ -40,9 +41,8 @@ def diagnosis_report(
     comparisons = compared(diagnosis, dataset, progress)
     report = progress or silent
     report("drawing", 0, 1)
-    count = len(dataset.trials)
     subtitle = (
-        f"{count} measured {'push' if count == 1 else 'pushes'} of {len(dataset.grid)} cells, {len(effects)}"
+        f"{counted(len(dataset.trials), 'measured push')} of {len(dataset.grid)} cells, {len(effects)}"
         f" effects tried in {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
     )
     lead = [
@@ -92,11 +92,7 @@ def joint_report(
         sentence = next(effect.sentence for effect in effects if effect.name == name)
         body = f"<p>{escape(sentence)}</p>"
         if own:
-            body += table(
-                phrases.PARAMETERS,
-                parameter_rows(effects, own),
-                numbers=(1, 2),
-            )
+            body += table(phrases.PARAMETERS, parameter_rows(effects, own), numbers=(1, 2))
             body += picture(alone_figure(diagnosis.datasets, own), "Parameters from each dataset alone")
             body += '<p class="note">Dots and lines: from each dataset alone, with 90 % intervals. Band: from'
             body += " all datasets together.</p>"

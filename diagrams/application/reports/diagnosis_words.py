@@ -1,6 +1,6 @@
-"""Diagnoses of one dataset or several, in words and tables for terminal and report; those of a running robot.
+"""Diagnoses in words and tables, for terminal and report: of one dataset, of several, and of a running robot.
 
-Words about a robot load Drake only when they are asked for.
+Drake is imported only for words about a robot.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from slipmap.diagrams.application.reports.comparison_words import millimetres
-from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.diagrams.application.reports.comparison_words import listed, millimetres
+from slipmap.diagrams.application.terminal import counted, paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.locked import turned
@@ -26,13 +26,7 @@ from slipmap.models.inference.diagnosis.results import (
     JointIdentification,
 )
 from slipmap.models.inference.diagnosis.several import EVIDENCE
-from slipmap.models.inference.diagnosis.verdict_rules import (
-    LEVEL,
-    QUICK_GAIN,
-    ROUGH,
-    SHRUNK,
-    far_above_noise,
-)
+from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH, SHRUNK, far_above_noise
 from slipmap.models.inference.effect_words import effect_in_words, in_the_middle, parameter_rows
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -68,7 +62,7 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         found = candidate.rejected_by
         left = candidate.remaining_gain
         gain = "" if left is None else f" gains {nats(left)} nats more"
-        named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
+        named = f"“{sentence}”" if (sentence := probe_sentence(found)) else found
         return f"{named} on top{gain}"
     for names, text in diagnosis.objections.items():
         if candidate.name in names.split(" and "):
@@ -104,7 +98,7 @@ def probe_sentence(name: str) -> str:
 def evidence(diagnosis: Diagnosis) -> str:
     """The evidence behind the verdict: the pushes, the p-value, and how to read gains."""
     count = len(diagnosis.open_trials)
-    text = f"Based on {count} {'push' if count == 1 else 'pushes'}"
+    text = f"Based on {counted(count)}"
     every = sum(push.role == "fit" for push in diagnosis.without_effects.pushes)
     if every > count and not diagnosis.quick:
         text += f", drawn at random from {every}"
@@ -114,9 +108,9 @@ def evidence(diagnosis: Diagnosis) -> str:
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, corrected for all candidates"
         if diagnosis.verdict == "adequate" and diagnosis.p_value <= LEVEL:
-            counted = [c for c in diagnosis.candidates if c.p_value is not None and c.p_value <= LEVEL]
+            clear = [c for c in diagnosis.candidates if c.p_value is not None and c.p_value <= LEVEL]
             # One that was dropped as far behind the best stands, as in `Rules.vanishes`.
-            stands = any(c.fitted_gain is None or c.fitted_gain >= SHRUNK * c.gain for c in counted)
+            stands = any(c.fitted_gain is None or c.fitted_gain >= SHRUNK * c.gain for c in clear)
             text += (
                 ", but the locked pushes are predicted to within the noise without any effect"
                 if stands
@@ -144,11 +138,13 @@ def improvement(diagnosis: Diagnosis) -> str:
         along = "" if before.ends_only else f"{path} off on average along the path and "
         return f"{which}, the model is {along}{end} {'at' if along else 'off at'} the end {meaning}"
     with_it = after_label(diagnosis)
-    parts = [f"{path} off on average along the path {before_label(diagnosis)} and {path_after} {with_it}"]
-    parts += [f"at the end, {end} and {end_after}"]
+    told = (
+        f"{path} off on average along the path {before_label(diagnosis)} and {path_after} {with_it}; at the"
+        f" end, {end} and {end_after}"
+    )
     if before.ends_only:
-        parts = [f"{end} off at the end {before_label(diagnosis)} and {end_after} {with_it}"]
-    return f"{which}, the model is {'; '.join(parts)} {meaning}{_still_missed(with_it, after.misfit)}"
+        told = f"{end} off at the end {before_label(diagnosis)} and {end_after} {with_it}"
+    return f"{which}, the model is {told} {meaning}{_still_missed(with_it, after.misfit)}"
 
 
 def _still_missed(model: str, misfits: FloatArray) -> str:
@@ -280,12 +276,7 @@ def show_diagnosis(
     )
     rows = parameter_rows(tried(diagnosis, effects), diagnosis.parameters)
     if rows:
-        table(
-            f"Parameters of {', '.join(diagnosis.effects)}",
-            PARAMETERS,
-            rows,
-            numbers=(1, 2),
-        )
+        table(f"Parameters of {', '.join(diagnosis.effects)}", PARAMETERS, rows, numbers=(1, 2))
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
         paragraph(f"Next push: {diagnosis.next_push['sentence']}")
@@ -297,8 +288,7 @@ def _show_locked(diagnosis: Diagnosis) -> None:
     if not rows:
         paragraph("No push was locked away, so nothing tests the answer: record three pushes or more.")
         return
-    count = len(diagnosis.locked)
-    title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
+    title = f"Error on the {counted(len(diagnosis.locked), 'locked push')}"
     table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))
 
 
@@ -417,16 +407,11 @@ def errors_of_beliefs(found: JointIdentification) -> str:
         return ""
     return (
         "The table judges single best maps. Predicted with the beliefs, held-out pushes end"
-        f" {_listed(errors)} off on average."
+        f" {listed(errors)} off on average."
     )
 
 
-_TURNS = (
-    "better",
-    "better by likelihood, though the ends are as far off,",
-    "worse",
-    "hardly differently",
-)
+_TURNS = ("better", "better by likelihood, though the ends are as far off,", "worse", "hardly differently")
 
 _AS_FAR = 0.98
 """Share of the error at the end above which it counts as unchanged."""
@@ -445,16 +430,15 @@ def where_it_falls(found: JointDiagnosis | JointIdentification) -> str:
             named.append(f"{one.name} ({_end_errors(one)} mm{of_first})")
             of_first = ""
         if named:
-            parts.append(f"{how} in {_listed(named)}")
+            parts.append(f"{how} in {listed(named)}")
     alternatives = isinstance(found, JointDiagnosis) and not found.together
     names = found.effects[0] if alternatives else " and ".join(found.effects)
     total = 0.0 if found.fall is None else found.fall
     turns = "rises" if total < 0.0 else "falls"
-    # The verdict of a diagnosis tells by itself what is left.
-    left = (
-        [] if isinstance(found, JointDiagnosis) else [o.after.misfit for o in judging if o.after is not None]
-    )
-    missed = _still_missed(f"with {names}", np.concatenate([np.zeros(0), *left]))
+    missed = ""
+    if isinstance(found, JointIdentification):  # the verdict of a diagnosis tells by itself what is left
+        misfits = [one.after.misfit for one in judging if one.after is not None]
+        missed = _still_missed(f"with {names}", np.concatenate(misfits))
     return (
         f"With {names}, the locked pushes are predicted {', '.join(parts)}. Their total cost {turns} by"
         f" {nats(abs(total))} nats.{missed}"
@@ -473,11 +457,6 @@ def _turn(one: DatasetResult) -> str:
 def _end_errors(one: DatasetResult) -> str:
     errors = [millimetres(float(e.final.mean())) for e in (one.before, one.after) if e is not None]
     return " → ".join(errors)
-
-
-def _listed(names: Sequence[str]) -> str:
-    *others, last = names
-    return f"{', '.join(others)} and {last}" if others else last
 
 
 _DID = {
@@ -524,14 +503,14 @@ def _fall_of_error(repair: Repair, watch: Watch) -> str:
     before = [push for push in watch.judged if push not in after]
     if not (repair.effects and before and after):
         return ""
-    return f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}."
+    effects = " and ".join(repair.effects)
+    return f"Before, {_errors(before)}; with {effects}, {_errors(after)}."
 
 
 def _finding(finding: Finding, *, asks: bool) -> str:
     """What one finding says; `asks` is whether the pushes after it were chosen to find out more."""
-    did = _DID[finding.action].format(effects=_names(finding.effects))
-    if not asks and finding.action == "pushes on":
-        did = _DID["goes on without"]
+    action = "goes on without" if finding.action == "pushes on" and not asks else finding.action
+    did = _DID[action].format(effects=" and ".join(finding.effects))
     from slipmap.diagrams.systems.diagnosis import CLOSE, FAILED, TRIED
 
     looked = "" if finding.verdict in (FAILED, TRIED, CLOSE) else ", diagnosis"
@@ -557,9 +536,7 @@ def _widening(last: Finding, judged: Sequence[Judged]) -> list[str]:
 def _errors(judged: Sequence[Judged]) -> str:
     off = 1e3 * median(push.error for push in judged)
     share = median(push.error / push.moved for push in judged)
-    count = f"{len(judged)} push{'es' * (len(judged) > 1)}"
-    return f"{count} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved the object"
-
-
-def _names(effects: Sequence[str]) -> str:
-    return " and ".join(effects)
+    return (
+        f"{counted(len(judged))} ended {off:.1f} mm off (median), {100 * share:.0f} % of how far they moved"
+        " the object"
+    )

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.geometry import turn
 
@@ -90,18 +90,13 @@ class SlidingObject:
         """
         spans: set[tuple[int, int, int, int]] = set()
         for along, across in ((0, 1), (1, 0)):
-            rows: dict[int, list[int]] = {}
-            for cell in self.cells:
-                rows.setdefault(int(cell[across]), []).append(int(cell[along]))
-            open_runs: dict[tuple[int, int], int] = {}
-            for row in [*sorted(rows), max(rows) + 2]:
-                runs = _runs(sorted(rows.get(row, [])))
-                for run in [run for run in open_runs if run not in runs]:
-                    first = open_runs.pop(run)
-                    last = max(r for r in rows if r < row)
-                    spans.add((*run, first, last) if along == 0 else (first, last, *run))
-                for run in runs:
-                    open_runs.setdefault(run, row)
+            rows_of: dict[tuple[int, int], list[int]] = {}
+            for row in np.unique(self.cells[:, across]).tolist():
+                for run in _runs(self.cells[self.cells[:, across] == row, along]):
+                    rows_of.setdefault(run, []).append(row)
+            for run, rows in rows_of.items():
+                for span in _runs(rows):
+                    spans.add((*run, *span) if along == 0 else (*span, *run))
         result = []
         for left, right, bottom, top in sorted(spans):
             low = self.origin + self.width * np.array([left, bottom])
@@ -118,15 +113,11 @@ class SlidingObject:
         return points, np.repeat(np.arange(len(self.cells)), across**2), across**2
 
 
-def _runs(sorted_numbers: list[int]) -> list[tuple[int, int]]:
-    """First and last of each run of consecutive numbers."""
-    runs: list[tuple[int, int]] = []
-    for number in sorted_numbers:
-        if runs and runs[-1][1] == number - 1:
-            runs[-1] = (runs[-1][0], number)
-        else:
-            runs.append((number, number))
-    return runs
+def _runs(numbers: ArrayLike) -> list[tuple[int, int]]:
+    """First and last of each run of consecutive whole numbers."""
+    ordered = np.sort(numbers)
+    runs = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
+    return [(int(run[0]), int(run[-1])) for run in runs]
 
 
 def random_object(rng: np.random.Generator) -> SlidingObject:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from schemas import assert_as_described
 
-from slipmap.diagrams.application.audit import engines, probes, standard_pushes
+from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, CoulombEngine, Subject, plain_scene
 from slipmap.diagrams.application.audit.probes import Measure, measures
-from slipmap.diagrams.application.audit.procedure import explain, push_all
+from slipmap.diagrams.application.audit.procedure import explain, push_all, standard_pushes
 from slipmap.diagrams.application.command_line import run
 from slipmap.diagrams.application.reports import audit_words
 from slipmap.models.effects import LIBRARY

@@ -31,14 +31,12 @@ STEP = PERIOD / 2  # s
 class ModelWorld(DirectWorld):
     """An object that slides as the cell-grid model with its true maps says."""
 
+    _step = STEP
+
     def __init__(self, true_object: TrueObject) -> None:
         super().__init__(true_object)
         self._slider = Slider(true_object.grid, self.finger_radius, table=self.table)
         self._at = np.zeros(3)
-
-    @property
-    def _step(self) -> float:
-        return STEP
 
     def _place(self, pose: FloatArray) -> None:
         self._at = pose.copy()

@@ -13,11 +13,11 @@ import trial_functions
 
 from slipmap.diagrams.application.campaigns.trials import (
     CRASHED,
-    CampaignError,
     TrialSpec,
     read_outcome,
     run_trials,
 )
+from slipmap.models.files import BadInput
 
 HERE = str(Path(__file__).parent)
 
@@ -83,10 +83,10 @@ def test_what_is_on_file_is_not_made_again_but_failures_are(tmp_path: Path) -> N
 
 def test_trials_of_another_campaign_are_not_taken_for_its_own(tmp_path: Path) -> None:
     run_trials(_specs("draw", 1), tmp_path)
-    with pytest.raises(CampaignError, match="its parameters differ"):
+    with pytest.raises(BadInput, match="its parameters differ"):
         run_trials(_specs("draw", 1, scale=3.0), tmp_path)
     (tmp_path / "trial-0.json").write_text("{")
-    with pytest.raises(CampaignError, match="not a readable trial"):
+    with pytest.raises(BadInput, match="not a readable trial"):
         run_trials(_specs("draw", 1), tmp_path)
 
 
@@ -96,14 +96,14 @@ def test_a_result_that_json_cannot_hold_is_a_failure(tmp_path: Path) -> None:
 
 
 def test_bad_requests_are_named(tmp_path: Path) -> None:
-    with pytest.raises(CampaignError, match="same name"):
+    with pytest.raises(BadInput, match="same name"):
         run_trials([*_specs("draw", 1), *_specs("draw", 1)], tmp_path)
-    with pytest.raises(CampaignError, match="use only letters"):
+    with pytest.raises(BadInput, match="use only letters"):
         TrialSpec("a/b", "trial_functions:draw", {}, 0)
-    with pytest.raises(CampaignError, match="plain data"):
+    with pytest.raises(BadInput, match="plain data"):
         TrialSpec("a", "trial_functions:draw", {"scale": float("inf")}, 0)
     pytest.importorskip("distributed", reason="Dask comes with the extra `cluster`")
-    with pytest.raises(CampaignError, match="address of its scheduler"):
+    with pytest.raises(BadInput, match="address of its scheduler"):
         run_trials(_specs("draw", 1), tmp_path, backend="dask")
 
 
