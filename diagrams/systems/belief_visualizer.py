@@ -235,7 +235,7 @@ class BeliefVisualizer(PythonSystem):
         self._path = path
         self._height = height
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
-        self.declare_inputs("belief", "object_pose")
+        self.declare_inputs("belief", "object_pose", belief=Belief)
         self.DeclareVectorInputPort("predicted_pose", 3)
         self.declare_inputs("push", "seen_object", "status", "watch", "repair")
         self._forget()

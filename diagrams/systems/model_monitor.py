@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -179,7 +180,7 @@ class ModelMonitor(PythonSystem):
             ErrorModel(push_misfit.pose_noise(sensors.position, angle), model_error, FORCE_ERROR)
             for angle in (sensors.angle, UNSEEN_ANGLE)
         )
-        self.declare_inputs("universes", "object_pose", "trials")
+        self.declare_inputs("universes", "object_pose", "trials", trials=Sequence)
         self._watch = self.DeclareAbstractState(held(before or Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.declare_vector_output("residual", 3, lambda context: self.watch(context).residual, after)
