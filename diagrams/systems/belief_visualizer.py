@@ -230,7 +230,6 @@ class BeliefVisualizer(PythonSystem):
         if not hasattr(meshcat, "SetObject"):
             got = "None" if meshcat is None else f"a {type(meshcat).__name__}"
             raise TypeError(f"BeliefVisualizer: meshcat must be a pydrake.geometry.Meshcat, got {got}")
-        self.set_name("belief_visualizer")
         self._meshcat = meshcat
         self._path = path
         self._height = height

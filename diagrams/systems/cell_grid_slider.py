@@ -182,7 +182,6 @@ def CellGridSlider_(T: type) -> type:
             LeafSystem_[T].__init__(self, converter=converter)
             if len(maps) != 1:
                 raise ValueError(f"CellGridSlider holds one model, the maps are of {len(maps)}")
-            self.set_name("cell_grid_slider")
             self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing, table)
             models = self.stepper.models(maps)
             effects = self.stepper.effects

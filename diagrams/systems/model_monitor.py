@@ -171,7 +171,6 @@ class ModelMonitor(PythonSystem):
         before: Watch | None = None,
     ) -> None:
         super().__init__()
-        self.set_name("model_monitor")
         check_positive("ModelMonitor: period", period, "s")
         check_not_negative("ModelMonitor: model_error", model_error, "of the path")
         if sensors.position is None or sensors.angle is None:

@@ -152,7 +152,6 @@ class MultiverseSlider(PythonSystem):
     def __init__(self, h: float) -> None:
         super().__init__()
         check_positive("MultiverseSlider: h", h, "s")
-        self.set_name("multiverse_slider")
         self._h = h
         self.DeclareVectorInputPort("wrench", 5)
         self.DeclareVectorInputPort("finger", 4)
