@@ -6,6 +6,9 @@ from dataclasses import field, fields
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 
 def check_choice(name: str, value: object, choices: Sequence[object]) -> None:
     """Raise ValueError, with the choices, for a value that is none of them."""
@@ -43,6 +46,20 @@ def check_several(name: str, value: object, source: str) -> None:
     to get them."""
     if not isinstance(value, Collection):
         raise TypeError(f"{name} must be a list, {source}; got one {type(value).__name__}")
+
+
+def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """The values as an array.
+
+    Raises:
+        ValueError: another shape, or a number that is not finite.
+    """
+    array = np.asarray(values, dtype=float)
+    if array.shape != shape:
+        raise ValueError(f"{name} must be of shape {shape}, got {array.shape}")
+    for value in array[~np.isfinite(array)]:
+        raise ValueError(f"{name} must be finite, got {value}")
+    return array
 
 
 THICKEST_FINGER = 0.5  # m, radius

@@ -15,17 +15,19 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.blas import one_blas_thread
 from slipmap.models.geometry import placed, radius_of_gyration, rotated, turn
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
+from slipmap.models.inference.results import Identification, belief_of
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Rollouts, Slider
+from slipmap.models.settings import check_kind, check_several, finite_array
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP, sampled_push
 from slipmap.planners.settings import NEGLIGIBLE, STRATEGIES, PokeSettings
@@ -60,11 +62,11 @@ class Choice:
 @one_blas_thread()
 def choose_push(
     grid: CellGrid,
-    pose: FloatArray,
+    pose: ArrayLike,
     finger_radius: float,
     *,
     strategy: str = "most-distinctive",
-    belief: Belief | None = None,
+    belief: Belief | Identification | None = None,
     past: Sequence[Choice] = (),
     settings: PokeSettings | None = None,
     tap: bool | None = None,
@@ -87,8 +89,8 @@ def choose_push(
             object is expected to be (`Belief.true_pose`).
         finger_radius: m.
         strategy: one of `STRATEGIES`.
-        belief: hypotheses that `most-distinctive` compares.
-        past: pushes made so far.
+        belief: hypotheses that `most-distinctive` compares, or what `identify` returned.
+        past: pushes made so far, as `choose_push` returned them.
         settings: constraints on the pushes to learn from.
         tap: whether to make a tap; by default as the settings say for the number of past pushes. If the robot
             can make none of the taps, a slow push is chosen instead.
@@ -98,15 +100,22 @@ def choose_push(
         allowed: whether the robot can make a push; called in order of preference until one is found.
 
     Raises:
-        ValueError: an unknown strategy.
         NoReachablePush: no candidate is allowed.
+        TypeError: a cell grid, belief, table, generator or past push of another kind; names it.
+        ValueError: an unknown strategy, or a pose that is not three finite numbers.
     """
     if strategy not in STRATEGIES:
         raise ValueError(f"unknown strategy {strategy!r}; choose one of {', '.join(STRATEGIES)}")
+    check_kind("choose_push: grid", grid, CellGrid, "such as belief.grid")
+    check_several("choose_push: past", past, "such as [choice]")
+    for choice in past:
+        check_kind("choose_push: a past push", choice, Choice, "such as choose_push returns")
+    if table is not None:
+        check_kind("choose_push: table", table, Table, "such as Table('round', (0.0, 0.0), radius=0.5)")
     habits = settings or PokeSettings()
-    reported = pose
+    pose = reported = finite_array("choose_push: pose", pose, (3,))
     if belief is not None:
-        belief = _likely(belief)
+        belief = _likely(belief_of(belief))
         pose, belief = belief.true_pose(reported), belief.in_world()
     contacts = candidate_pushes(
         grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),

@@ -12,7 +12,13 @@ from slipmap.models.geometry import rotated, turn
 from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
-from slipmap.models.settings import check_kind, check_whole
+from slipmap.models.settings import (
+    check_finger_radius,
+    check_kind,
+    check_positive,
+    check_whole,
+    finite_array,
+)
 
 DESCENT = 0.008
 """Clearance around the finger where it comes down, m: the largest combined error of object and finger."""
@@ -59,8 +65,11 @@ class Candidate:
             h: step, s.
             ramp: s.
             rest: s.
+
+        Raises:
+            ValueError: a pose that is not three finite numbers.
         """
-        start = np.asarray(pose, dtype=float)
+        start = finite_array("push: pose", pose, (3,))
         way = self.approach + self.length
         ramp = min(ramp, way / self.speed)
         moving = way / self.speed + ramp
@@ -163,9 +172,8 @@ def _check(
     approach: float,
 ) -> None:
     check_whole("exploration: count", count, 1)
-    for name, value in (("finger_radius", finger_radius), ("approach", approach)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"exploration: {name} must be a positive length in m, got {value}")
+    check_finger_radius("exploration: finger_radius", finger_radius)
+    check_positive("exploration: approach", approach, "m")
     for name, (least, largest) in (("length", length), ("speed", speed)):
         if not (np.isfinite(largest) and 0 < least <= largest):
             raise ValueError(

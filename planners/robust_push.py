@@ -39,7 +39,7 @@ from slipmap.models.physics.balance import balance_margins, own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
-from slipmap.models.settings import check_kind
+from slipmap.models.settings import check_kind, finite_array
 from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import NEGLIGIBLE, PushSettings
@@ -382,12 +382,14 @@ def plan_push(
     check_kind("plan_push: table", table, Table, "such as Table('round', (0.0, 0.0), radius=0.5)")
     check_kind("plan_push: settings", settings, PushSettings, "such as PushSettings()")
     check_kind("plan_push: rng", rng, np.random.Generator, "such as np.random.default_rng(0)")
-    pose, belief = belief.true_pose(_finite("pose", pose, (3,))), belief.in_world()
+    pose, belief = belief.true_pose(finite_array("plan_push: pose", pose, (3,))), belief.in_world()
     goals = np.atleast_2d(np.asarray(targets, dtype=float))
     if not goals.size or goals.ndim != 2 or goals.shape[1] != 3:
         raise ValueError(f"plan_push: targets must be of shape (3,) or (G, 3), got {np.shape(targets)}")
-    _finite("targets", goals, goals.shape)
-    extra = np.zeros(len(goals)) if costs is None else _finite("costs", costs, (len(goals),))
+    finite_array("plan_push: targets", goals, goals.shape)
+    extra = np.zeros(len(goals))
+    if costs is not None:
+        extra = finite_array("plan_push: costs", costs, (len(goals),))
     cone = float(np.radians(settings.cone))
     metric = PoseMetric(belief.grid)
     scenarios = Scenarios.of(belief.on(table), settings, rng)
@@ -418,16 +420,6 @@ def plan_push(
             values.append(expected(seen[-1]))
             lines = lines.joined(varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, table, settings, allowed)
-
-
-def _finite(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """The values as an array of the given shape; ValueError names what has another one or is not finite."""
-    array = np.asarray(values, dtype=float)
-    if array.shape != shape:
-        raise ValueError(f"plan_push: {name} must be of shape {shape}, got {array.shape}")
-    for value in array[~np.isfinite(array)]:
-        raise ValueError(f"plan_push: {name} must be finite, got {value}")
-    return array
 
 
 def _expected_pushes(

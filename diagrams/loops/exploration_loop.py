@@ -332,7 +332,7 @@ def add_exploration(
         monitor=add(
             "model_monitor", ModelMonitor(SENSORS, before=None if before is None else before.watch)
         ),
-        visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
+        visualizer=None if meshcat is None else add("belief_visualizer", BeliefVisualizer(meshcat)),
         diagnosis=None if not options.adapt else add(
             "diagnosis",
             Diagnosis(

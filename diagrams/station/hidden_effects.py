@@ -156,6 +156,55 @@ def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
     return gravity * down / np.linalg.norm(down)
 
 
+def check_strength(config: HiddenEffectsConfig, thing: TrueObject, step: float, gravity: float) -> None:
+    """Refuse effects that are too stiff or too strong to be simulated.
+
+    Args:
+        config: whose parameters are valid.
+        thing: the object that they act on.
+        step: of the plant, s.
+        gravity: m/s².
+
+    Raises:
+        ValueError: names the setting of the scenario, and what the step allows.
+    """
+    mass, area = thing.total_mass, len(thing.grid) * thing.grid.width**2
+    # Explicit Euler needs less than 2 and 4; a quarter of that keeps it accurate.
+    if config.viscous_friction.drag_per_area * area * step / mass > 0.5:
+        raise ValueError(
+            "hidden.viscous_friction: ViscousFriction.drag_per_area: too large for an object of"
+            f" {mass:.3g} kg and a time step of {step:g} s; at most {0.5 * mass / step / area:.3g} N s/m³,"
+            " or a smaller simulation.time_step"
+        )
+    if config.tether.stiffness * step**2 / mass > 1.0:
+        raise ValueError(
+            f"hidden.tether: Tether.stiffness: too stiff for an object of {mass:.3g} kg and a time step of"
+            f" {step:g} s; at most {mass / step**2:.3g} N/m, or a smaller simulation.time_step"
+        )
+    field = config.table_friction_field
+    if any((field.gradient_x, field.gradient_y, field.patch)):
+        _refuse_sticky(field, thing, step, gravity)
+
+
+def _refuse_sticky(field: TableFrictionField, thing: TrueObject, step: float, gravity: float) -> None:
+    # A force that is constant over a step can at most stop the object within it.
+    uphill = np.array([field.gradient_x, field.gradient_y])
+    far = _FAR / max(float(np.hypot(*uphill)), 1e-9) * uphill
+    places = np.array([far, [field.patch_x, field.patch_y] if field.patch > 0 else far])
+    cells = thing.grid.centers - thing.center_of_mass[:2] + places[:, None]
+    with np.errstate(over="ignore"):
+        factors = np.minimum(field.factor(cells.reshape(-1, 2)), 1e9).reshape(len(places), -1)
+    braked = (np.maximum(factors - 1, 0) @ (thing.mass * thing.mu)) * gravity * step / thing.total_mass
+    if (worst := float(braked.max())) > _SLOW_PUSH:
+        highest = float(factors[braked.argmax()].max())
+        raise ValueError(
+            f"hidden.table_friction_field: friction of up to {highest:.3g} times the object's own is too"
+            f" strong for a time step of {step:g} s: in one step it would take {worst:.3g} m/s from the"
+            f" object, but slow pushes have {_SLOW_PUSH:g} m/s; at most"
+            f" {1 + (highest - 1) * _SLOW_PUSH / worst:.3g} times, or a smaller simulation.time_step"
+        )
+
+
 class HiddenEffects(PythonSystem):
     """Forces of the hidden effects on the object, for the plant's `applied_spatial_force`.
 
@@ -181,11 +230,12 @@ class HiddenEffects(PythonSystem):
         super().__init__()
         config.check()
         grid = true_object.grid
+        gravity = -float(plant.gravity_field().gravity_vector()[2])
+        check_strength(config, true_object, plant.time_step(), gravity)
         self._config = config
         self._index = plant.GetBodyByName(BODY).index()
         self._base = np.column_stack([grid.centers, np.zeros(len(grid))])
         self._width = grid.width
-        gravity = -float(plant.gravity_field().gravity_vector()[2])
         self._load = true_object.mass * true_object.mu * gravity
         self._step = plant.time_step()
         self._step_of_speed = true_object.mu * gravity * self._step
@@ -199,9 +249,6 @@ class HiddenEffects(PythonSystem):
         self._slows = any(
             (config.viscous_friction.drag_per_area, field.gradient_x, field.gradient_y, field.patch)
         )
-        self._refuse_stiff(self._step)
-        if any((field.gradient_x, field.gradient_y, field.patch)):
-            self._refuse_sticky(field)
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self._velocities = self.DeclareAbstractInputPort(
             "body_spatial_velocities", Value[List[SpatialVelocity]]()
@@ -212,38 +259,6 @@ class HiddenEffects(PythonSystem):
             self._calc_forces,
             {self._poses.ticket(), self._velocities.ticket()},
         )
-
-    def _refuse_stiff(self, step: float) -> None:
-        # Explicit Euler needs less than 2 and 4; a quarter of that keeps it accurate.
-        area = len(self._base) * self._width**2
-        if self._config.viscous_friction.drag_per_area * area * step / self._mass > 0.5:
-            raise ValueError(
-                f"ViscousFriction.drag_per_area: too large for an object of {self._mass:.3g} kg and a time "
-                f"step of {step:g} s; at most {0.5 * self._mass / step / area:.3g} N s/m³"
-            )
-        if self._config.tether.stiffness * step**2 / self._mass > 1.0:
-            raise ValueError(
-                f"Tether.stiffness: too stiff for an object of {self._mass:.3g} kg and a time step of "
-                f"{step:g} s; at most {self._mass / step**2:.3g} N/m"
-            )
-
-    def _refuse_sticky(self, field: TableFrictionField) -> None:
-        # A force that is constant over a step can at most stop the object within it.
-        uphill = np.array([field.gradient_x, field.gradient_y])
-        far = _FAR / max(float(np.hypot(*uphill)), 1e-9) * uphill
-        places = np.array([far, [field.patch_x, field.patch_y] if field.patch > 0 else far])
-        cells = self._base[:, :2] - self._p_OC[:2] + places[:, None]
-        with np.errstate(over="ignore"):
-            factors = np.minimum(field.factor(cells.reshape(-1, 2)), 1e9).reshape(len(places), -1)
-        braked = (np.maximum(factors - 1, 0) @ self._load) * self._step / self._mass
-        if (worst := float(braked.max())) > _SLOW_PUSH:
-            highest = float(factors[braked.argmax()].max())
-            raise ValueError(
-                f"TableFrictionField: friction of up to {highest:.3g} times the object's own is too strong"
-                f" for a time step of {self._step:g} s: in one step it would take {worst:.3g} m/s from the"
-                f" object, but slow pushes have {_SLOW_PUSH:g} m/s; at most"
-                f" {1 + (highest - 1) * _SLOW_PUSH / worst:.3g} times, or a smaller time step"
-            )
 
     def _calc_forces(self, context: Context, output: AbstractValue) -> None:
         X_WO: RigidTransform = self._poses.Eval(context)[self._index]

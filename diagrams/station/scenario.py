@@ -43,6 +43,7 @@ from slipmap.models.objects.true_object import (
 from slipmap.models.settings import check_kind
 from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings, RepairSettings
 
+_LARGEST_TABLE = 20.0  # radius or side, m; more is in millimetres
 LARGEST = 2**16  # largest size of a scenario file, bytes; one with every setting has 5 kB
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
@@ -186,6 +187,9 @@ class TableSettings:
         lengths = np.array([self.radius, *self.size])
         if len(self.size) != 2 or not (np.isfinite(lengths) & (lengths > 0)).all():
             raise ValueError(f"table: radius and size must be positive, got {self.radius} and {self.size}")
+        for name, length in (("radius", self.radius), ("size", max(self.size))):
+            if length > _LARGEST_TABLE:
+                raise ValueError(f"table.{name} is {length:g} m; no table is that large, divide by 1000?")
         unused, used = ("size", "radius") if self.shape == "round" else ("radius", "size")
         value = getattr(self, unused)
         if value != getattr(TableSettings(), unused):

@@ -230,12 +230,11 @@ class BeliefVisualizer(PythonSystem):
         if not hasattr(meshcat, "SetObject"):
             got = "None" if meshcat is None else f"a {type(meshcat).__name__}"
             raise TypeError(f"BeliefVisualizer: meshcat must be a pydrake.geometry.Meshcat, got {got}")
-        self.set_name("belief_visualizer")
         self._meshcat = meshcat
         self._path = path
         self._height = height
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
-        self.declare_inputs("belief", "object_pose")
+        self.declare_inputs("belief", "object_pose", belief=Belief)
         self.DeclareVectorInputPort("predicted_pose", 3)
         self.declare_inputs("push", "seen_object", "status", "watch", "repair")
         self._forget()

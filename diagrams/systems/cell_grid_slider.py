@@ -90,6 +90,15 @@ def tip_of(finger: Any, h: float) -> Any:
     return np.vstack([center, center + h * velocity])
 
 
+def check_wrench(wrench: Any) -> None:
+    """Raise ValueError for a wrench (5,) of which some numbers are not finite."""
+    if not np.isfinite(values := values_of(wrench)).all():
+        raise ValueError(
+            "wrench: force, point and torque must be five finite numbers, zeros where nothing acts;"
+            f" got {values.tolist()}"
+        )
+
+
 def values_of(numbers: Any) -> FloatArray:
     """Values (N,) of numbers (N,) that may carry derivatives."""
     if numbers.dtype == object:
@@ -147,8 +156,8 @@ def CellGridSlider_(T: type) -> type:
 
         Raises:
             ValueError: maps of another grid, of other effects, or of more than one model; a finger over half
-                a metre thick, or a step over 0.1 s; in a simulation, a finger of which only some numbers are
-                finite, or that appears deep inside the object.
+                a metre thick, or a step over 0.1 s; in a simulation, a wrench that is not finite, or a
+                finger of which only some numbers are finite, or that appears deep inside the object.
 
         Example:
             >>> import slipmap
@@ -173,7 +182,6 @@ def CellGridSlider_(T: type) -> type:
             LeafSystem_[T].__init__(self, converter=converter)
             if len(maps) != 1:
                 raise ValueError(f"CellGridSlider holds one model, the maps are of {len(maps)}")
-            self.set_name("cell_grid_slider")
             self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing, table)
             models = self.stepper.models(maps)
             effects = self.stepper.effects
@@ -246,6 +254,7 @@ def CellGridSlider_(T: type) -> type:
             size = self.stepper.size
             wrench, finger = (self.get_input_port(i) for i in (self._wrench, self._finger))
             wrench = wrench.Eval(context) if wrench.HasValue(context) else NO_WRENCH
+            check_wrench(wrench)
             tip = tip_of(finger.Eval(context), self.stepper.h) if finger.HasValue(context) else NO_FINGER
             if not values_of(state[6:8]).any():  # it was not there, or felt nothing
                 pose, center = values_of(state[:3]), values_of(tip.ravel())[:2]

@@ -13,7 +13,7 @@ from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.settings import check_not_negative, check_positive, check_several
+from slipmap.models.settings import check_kind, check_not_negative, check_positive, check_several
 from slipmap.planners.table_push import TablePush
 
 # Times the speed of a push at which a finger that was not measured for a while catches up; the arm itself is
@@ -90,7 +90,7 @@ class FingerPath(PythonSystem):
         rest: time for which the finger is down and at rest before and after it moves, s.
 
     Raises:
-        TypeError: something else than a list of pushes.
+        TypeError: something else than a list of `TablePush`es.
         ValueError: a step that is not positive, a negative rest, a pause that is negative or not finite, or
             too short for a `TrialLogger` to see that the finger is up between two pushes.
 
@@ -105,6 +105,10 @@ class FingerPath(PythonSystem):
         super().__init__()
         self._h = h
         check_several("FingerPath: pushes", pushes, "such as [push]")
+        for push in pushes:
+            check_kind(
+                "FingerPath: a push", push, TablePush, "such as TablePush([-0.06, 0], [0.04, 0], 0.05)"
+            )
         paths = [push.path(h, rest=rest) for push in pushes]
         check_not_negative("FingerPath: pause", pause, "s")
         steps = round(pause / h)

@@ -119,7 +119,7 @@ class Identification(PythonSystem):
         self._options = {"friction_laws": friction_laws, "hypotheses": hypotheses, "seed": seed}
         self._learned = learned
         self._worker = worker
-        self.declare_inputs("trials", "cell_grid", "effects")
+        self.declare_inputs("trials", "cell_grid", "effects", trials=Sequence, cell_grid=CellGrid)
         self._belief = self.DeclareAbstractState(held((None, 0, self._effects)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -170,7 +171,6 @@ class ModelMonitor(PythonSystem):
         before: Watch | None = None,
     ) -> None:
         super().__init__()
-        self.set_name("model_monitor")
         check_positive("ModelMonitor: period", period, "s")
         check_not_negative("ModelMonitor: model_error", model_error, "of the path")
         if sensors.position is None or sensors.angle is None:
@@ -179,7 +179,7 @@ class ModelMonitor(PythonSystem):
             ErrorModel(push_misfit.pose_noise(sensors.position, angle), model_error, FORCE_ERROR)
             for angle in (sensors.angle, UNSEEN_ANGLE)
         )
-        self.declare_inputs("universes", "object_pose", "trials")
+        self.declare_inputs("universes", "object_pose", "trials", trials=Sequence)
         self._watch = self.DeclareAbstractState(held(before or Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.declare_vector_output("residual", 3, lambda context: self.watch(context).residual, after)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then, tip_of
+from slipmap.diagrams.systems.cell_grid_slider import (
+    check_wrench,
+    history_length,
+    pose_then,
+    tip_of,
+)
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
-from slipmap.models.settings import check_positive
+from slipmap.models.settings import check_kind, check_positive, finite_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +111,9 @@ class MultiverseSlider(PythonSystem):
         h: step, s.
 
     Raises:
-        ValueError: the step is not positive.
+        ValueError: the step is not positive; in a simulation, a wrench or finger that `CellGridSlider` would
+            refuse.
+        TypeError: in a simulation, an input of another kind.
 
     Example:
         A `ModelMonitor` judges a push of a simulated hammer by what was learned from another push.
@@ -144,11 +152,10 @@ class MultiverseSlider(PythonSystem):
     def __init__(self, h: float) -> None:
         super().__init__()
         check_positive("MultiverseSlider: h", h, "s")
-        self.set_name("multiverse_slider")
         self._h = h
         self.DeclareVectorInputPort("wrench", 5)
         self.DeclareVectorInputPort("finger", 4)
-        self.declare_inputs("belief", "object_pose", "push", "trials")
+        self.declare_inputs("belief", "object_pose", "push", "trials", belief=Belief, trials=Sequence)
         self._universes = self.DeclareAbstractState(held(None))
         after = {self.abstract_state_ticket(self._universes)}
         self.declare_output_of(
@@ -160,7 +167,14 @@ class MultiverseSlider(PythonSystem):
         self.declare_steps(h, self._universes, self._step)
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
-        """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,)."""
+        """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,).
+
+        Raises:
+            TypeError: no belief.
+            ValueError: not three finite numbers.
+        """
+        check_kind("set_belief: belief", belief, Belief, "such as slipmap.identify(dataset).belief")
+        pose = finite_array("set_belief: pose", pose, (3,))
         order = len(self.optional_input(context, "trials") or ())
         universes = placed(belief, self._h, pose, begin=context.get_time(), order=order)
         replace_held(context.get_mutable_state(), self._universes, universes)
@@ -174,6 +188,8 @@ class MultiverseSlider(PythonSystem):
         if universes is None:
             return None
         wrench, finger = self.optional_input(context, "wrench"), self.optional_input(context, "finger")
+        if wrench is not None:
+            check_wrench(wrench)
         states, _ = universes.stepper.step(
             universes.models,
             universes.states,

@@ -113,8 +113,14 @@ def replace_held(state: State, index: AbstractStateIndex, value: Any) -> None:
 class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
     """Base of all Python systems here."""
 
-    def declare_inputs(self, *names: str) -> None:
-        """Declare input ports for Python objects."""
+    def declare_inputs(self, *names: str, **kinds: type) -> None:
+        """Declare input ports for Python objects.
+
+        Args:
+            names: of the ports.
+            kinds: of the values at some of them, if not None; another one raises TypeError when it is read.
+        """
+        self.__dict__.setdefault("_kinds", {}).update(kinds)
         for name in names:
             self.DeclareAbstractInputPort(name, Value[object](None))
 
@@ -171,7 +177,14 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
 
     def input(self, context: Context, name: str) -> Any:
         """The value at an input port."""
-        return self.GetInputPort(name).Eval(context)
+        value = self.GetInputPort(name).Eval(context)
+        kind = self.__dict__.get("_kinds", {}).get(name)
+        if kind is not None and value is not None and not isinstance(value, kind):
+            raise TypeError(
+                f"{type(self).__name__}: the port {name} takes a {kind.__name__},"
+                f" got a {type(value).__name__}"
+            )
+        return value
 
     def optional_input(self, context: Context, name: str) -> Any:
         """The value at an input port; None if it is not connected."""

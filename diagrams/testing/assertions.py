@@ -25,7 +25,7 @@ from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.results import Identification
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, SPEED_LIMITS
-from slipmap.models.settings import check_choice, check_kind
+from slipmap.models.settings import check_choice, check_kind, check_positive, check_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +110,13 @@ def assert_predicts(run: ExplorationRun | Identification, within: float, role: s
         TypeError, ValueError: an argument of another kind, another role, or a distance of a metre or more.
     """
     check_choice("assert_predicts: role", role, ("heldout", "fit"))
-    if not 0 < within < 1:
+    check_positive("assert_predicts: within", within, "m")
+    if within >= 1:
         raise ValueError(f"assert_predicts: within must lie between 0 and 1 m, got {within}")
     learned = _learned(run)
     errors = _errors(learned, role)
     assert errors.max() <= within, (
-        f"a push ended {1e3 * errors.max():.1f} mm from its prediction; {1e3 * within:.1f} mm are"
+        f"a push ended {1e3 * errors.max():.1f} mm from its prediction; {1e3 * within:.3g} mm are"
         f" allowed\n{_pushes(learned)}"
     )
 
@@ -125,11 +126,16 @@ def assert_better_than_uniform(run: ExplorationRun | Identification, times: floa
 
     Args:
         times: factor by which the error must be smaller.
+
+    Raises:
+        TypeError, ValueError: an argument of another kind, or a factor that is not positive.
     """
+    check_positive("assert_better_than_uniform: times", times, "times")
     learned = _learned(run)
     own, uniform = _errors(learned, "heldout").mean(), learned.errors("heldout", "uniform_add").mean()
     assert times * own < uniform, (
-        f"the mean error is {1e3 * own:.1f} mm, that of a uniform object {1e3 * uniform:.1f} mm\n"
+        f"the mean error is {1e3 * own:.1f} mm, that of a uniform object {1e3 * uniform:.1f} mm; it must be"
+        f" {'larger' if times == 1 else f'more than {times:g} times as large'}\n"
         f"{_pushes(learned)}"
     )
 
@@ -141,7 +147,12 @@ def assert_alarm(watch: Watch) -> None:
 
 
 def assert_quiet(watch: Watch, judged: int = 3) -> None:
-    """Assert that the monitor gave no alarm on at least `judged` pushes; by default as many as one takes."""
+    """Assert that the monitor gave no alarm on at least `judged` pushes; by default as many as one takes.
+
+    Raises:
+        TypeError, ValueError: no watch, or no whole number of at least 1.
+    """
+    check_whole("assert_quiet: judged", judged, 1)
     _check_watch(watch)
     assert len(watch.judged) >= judged, (
         f"only {len(watch.judged)} pushes were judged, {judged} are required; make more\n{_judged(watch)}"
@@ -151,12 +162,14 @@ def assert_quiet(watch: Watch, judged: int = 3) -> None:
 
 def assert_names(diagnosis: Diagnosis, effect: str) -> None:
     """Assert that the diagnosis names an effect, alone or among those that the pushes cannot tell apart."""
+    check_kind("diagnosis", diagnosis, Diagnosis, "such as slipmap.diagnose(dataset) returns")
     named = diagnosis.verdict in ("effect", "ambiguous") and effect in diagnosis.effects
     assert named, f"{effect} is not named; verdict {diagnosis.verdict}: {diagnosis.sentence}"
 
 
 def assert_adopts(run: ExplorationRun, effect: str) -> None:
     """Assert that the robot added an effect to its model on the way and kept it to the end."""
+    _check_run(run, "repair", "an ExplorationRun, such as cell.explore(adapt=True) returns")
     assert run.repair is not None, "the run did not adapt; set adapt=True"
     said = "\n".join(f"push {found.pushes}: {found.verdict}, {found.action}" for found in run.repair.findings)
     assert effect in run.repair.effects, f"{effect} is not in the model at the end\n{said or 'no diagnosis'}"
@@ -167,6 +180,7 @@ def assert_adopts(run: ExplorationRun, effect: str) -> None:
 
 def assert_held(run: PregraspRun) -> None:
     """Assert that the gripper holds the object in the end."""
+    _check_run(run, "held", "a PregraspRun, such as cell.pregrasp() returns")
     count = len(run.pushes)
     pushes = f"{count} push{'es' * (count != 1)}"
     assert run.held, f"the object is not held after {pushes} to the edge: {run.reason}"
@@ -202,6 +216,11 @@ def assert_limits_kept(commands: Sequence[CommandLog], guard: GuardSettings) -> 
             f"the finger was commanded to {log.tip_speeds[fastest]:.2f} m/s at {log.times[fastest]:.3f} s of"
             f" the sender's clock; {guard.tip_speed:g} m/s are allowed"
         )
+
+
+def _check_run(run: object, part: str, kind: str) -> None:
+    if not hasattr(run, part):
+        raise TypeError(f"run must be {kind}; got a {type(run).__name__}")
 
 
 def _learned(run: ExplorationRun | Identification) -> Identification:

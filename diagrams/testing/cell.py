@@ -14,7 +14,7 @@ from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
 from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, pregrasp
 from slipmap.diagrams.loops.run_folder import ExplorationFolder, RunFolder, resumed
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, check_scenario
 from slipmap.diagrams.testing.assertions import CommandLog, CommandRecorder
 from slipmap.diagrams.testing.faults import Fault, RelayProcess
 from slipmap.diagrams.testing.twins import LockstepCell, TwinProcess, free_url
@@ -242,6 +242,7 @@ def open_cell(
         AssertionError: at the end of the block, if a planned fault has not started.
         HardwareError: a process could not be started, or a malformed address.
         BadInput: with `faulty`, another process controls the cell.
+        ScenarioError, TypeError: a scenario with a field or value that a file is refused for, or none.
         ValueError: neither a twin nor an address.
         ValueError, RendererUnavailable: as for `Station`.
 
@@ -256,6 +257,7 @@ def open_cell(
     """
     check_where(where)
     scenario, folder = scenario or small_scenario(where), Path(folder)
+    check_scenario(scenario)
     folder.mkdir(parents=True, exist_ok=True)
     if where == LOCKSTEP:
         cell = Cell(scenario, folder)

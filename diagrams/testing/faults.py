@@ -72,7 +72,7 @@ class Fault:
         band: first and last share of a picture's rows.
 
     Raises:
-        ValueError: an unknown fault, or an invalid number.
+        ValueError: an unknown fault, an invalid number, or a delay or jump without its amount.
     """
 
     of: str
@@ -91,6 +91,9 @@ class Fault:
             )
         if not (np.isfinite(self.amount) and self.seconds >= 0 and 0 <= self.after < np.inf):
             raise ValueError(f"{self}: amount must be finite, seconds and after must not be negative")
+        if self.kind in ("delay", "jump") and self.amount == 0:
+            unit = "s" if self.kind == "delay" else "rad"
+            raise ValueError(f"{self}: changes nothing; give its amount in {unit}")
         if self.kind == "delay" and self.amount < 0:
             raise ValueError(f"{self}: a message cannot come before it was sent; amount is negative")
         if not 0.0 <= self.band[0] < self.band[1] <= 1.0:

@@ -126,8 +126,9 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         if distance2 < nearest:
             nearest = distance2
             nearest_edge = e
-        # A ray along +x crosses an odd number of edges if it starts inside.
-        if (dy < 0.0) != (dy < ey) and dx < dy * ex / ey:
+        # A ray along +x crosses an odd number of edges if it starts inside. Both edges at a corner must find
+        # it on the same side of the ray, so coordinates are compared, not differences that were rounded.
+        if (py < ay) != (py < edges[e, 3]) and dx < dy * ex / ey:
             inside = not inside
         if distance2 > reach * reach:
             continue

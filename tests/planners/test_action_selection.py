@@ -297,3 +297,29 @@ def test_a_push_that_hinges_on_where_the_finger_touches_is_the_last_choice(seed)
     belief = a_belief(alike * truth.mass)
     choice = choose(seed, past=[choose(5)], belief=belief, tap=False)
     assert farthest_end_beside(choice.push, belief) <= 3.0
+
+
+def test_a_pose_may_be_a_list():
+    grid = hammer()[0]
+    chosen = choose_push(grid, POSE.tolist(), RADIUS, rng=np.random.default_rng(0))
+    assert np.array_equal(chosen.push.begin, choose().push.begin)
+
+
+@pytest.mark.parametrize("pose", [[np.nan, 0.0, 0.0], [0.0, 0.0]])
+def test_what_is_no_pose_is_refused(pose):
+    with pytest.raises(ValueError, match=r"choose_push: pose must be (finite|of shape \(3,\)), got"):
+        choose_push(hammer()[0], pose, RADIUS, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"belief": "belief.npz"}, "belief must be a Belief, such as .*; got a str"),
+        ({"table": 0.5}, "choose_push: table must be a Table, such as .*; got a float"),
+        ({"past": 3}, "choose_push: past must be a list"),
+        ({"past": [choose().push]}, "choose_push: a past push must be a Choice, .*; got a TablePush"),
+    ],
+)
+def test_other_kinds_of_arguments_are_refused_by_name(options, words):
+    with pytest.raises(TypeError, match=words):
+        choose(**options)

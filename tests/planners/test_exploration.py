@@ -175,6 +175,7 @@ def test_a_finger_that_fits_nowhere_is_refused():
         ({"count": 0}, "count"),
         ({"count": 1.5}, "count must be a whole number"),
         ({"finger_radius": -1.0}, "finger_radius"),
+        ({"finger_radius": 8.0}, r"finger_radius is 8 m; no finger is that thick, divide by 1000\?"),
         ({"approach": np.nan}, "approach"),
         ({"length": (0.2, 0.1)}, "length"),
         ({"speed": (0.0, 0.1)}, "speed"),
@@ -185,6 +186,13 @@ def test_numbers_out_of_range_are_named(change, named):
     arguments = {"finger_radius": RADIUS, "count": 1} | change
     with pytest.raises(ValueError, match=named):
         candidate_pushes(rectangle(), rng=np.random.default_rng(0), **arguments)
+
+
+@pytest.mark.parametrize("pose", [[np.nan, 0.0, 0.0], [0.0, 0.0]])
+def test_a_candidate_is_pushed_at_a_pose_only(pose):
+    (candidate,) = candidate_pushes(rectangle(), RADIUS, np.random.default_rng(0), 1)
+    with pytest.raises(ValueError, match=r"push: pose must be (finite|of shape \(3,\)), got"):
+        candidate.push(pose)
 
 
 def test_a_seed_is_not_a_generator():

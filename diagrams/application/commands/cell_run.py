@@ -208,6 +208,7 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
         BadInput: the file or the object's name is wrong, or the object cannot be pushed and seen where it
             lies.
     """
+    from slipmap.diagrams.station.hidden_effects import check_strength
     from slipmap.diagrams.station.placement import check_feasible, check_placement, check_rest
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
@@ -230,6 +231,7 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
             from slipmap.diagrams.loops.exploration_loop import check_reach
 
             check_feasible(scenario, thing)
+            check_strength(scenario.hidden, thing, scenario.simulation.time_step, scenario.gravity)
             check_reach(scenario, thing)
     except ValueError as error:
         raise BadInput(str(error) if path is None else f"{path}: {error}") from error

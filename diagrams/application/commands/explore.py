@@ -170,7 +170,8 @@ def _explore(
             written = cell_run.leave(
                 run.identification, run.dataset, cell.folder, progress, seed=wanted.seed, told=_told(run)
             )
-            record.end(complete=not failure)
+            if not stopped:  # else only what continues the run may write there
+                record.end(complete=not failure)
             write_json(json_file, {**_learned_json(run), "monitor": run.watch, "failure": failure})
     _show_exploration(run)
     surprised = _show_surprises(run, cell.folder)

@@ -280,7 +280,9 @@ def test_an_unknown_object_is_refused_with_the_names_there_are(slipmap, tmp_path
         ("object: {labels: nowhere.png}", ["nowhere.png"]),
         ("object: {mass: -1.0, mu: 0.3, mesh: nowhere.obj}", ["object.mass", "positive"]),
         ("table: {friction: 0.05}", ["friction"]),
-        ("hidden: {tether: {stiffness: 1.0e+9, slack: 0.4}}", ["Tether.stiffness"]),
+        ("hidden: {tether: {stiffness: 1.0e+9, slack: 0.4}}", ["cell.yaml: hidden.tether: Tether.stiffness"]),
+        ("hidden: {viscous_friction: {drag_per_area: 1.0e+9}}", ["cell.yaml: hidden.viscous_friction"]),
+        ("hidden: {table_friction_field: {patch: 9.0}}", ["cell.yaml: hidden.table_friction_field", "8.2"]),
     ],
 )
 def test_a_scenario_that_cannot_be_used_is_refused_by_the_fields_name(slipmap, tmp_path, yaml, named):

@@ -57,6 +57,12 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     assert json.loads(result.read_text(encoding="utf-8"))["failure"] == "stopped after 1 of 3 pushes."
     _, options, before = resumed(out)
     assert options.pushes == 3 and len(before.trials) == 1
+    again = subprocess.run(
+        [str(word) for word in command], env=ENVIRONMENT, text=True, capture_output=True, timeout=60
+    )
+    assert again.returncode == 2 and "holds an interrupted run with pushes recorded: 1" in again.stderr
+    assert f"slipmap explore --resume {out}" in again.stderr
+    assert len(resumed(out)[2].trials) == 1
 
 
 def test_the_push_after_which_it_is_stopped_is_judged_as_in_a_run_that_goes_on(

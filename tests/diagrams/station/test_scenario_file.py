@@ -272,6 +272,8 @@ def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kin
         ("table: {shape: oval}", ["table.shape", "round", "rectangle", "'oval'"]),
         ("table: {shape: rectangle, size: [1.0]}", ["table", "size", "[1.0]"]),
         ("table: {radius: .inf}", ["table", "radius", "inf"]),
+        ("table: {radius: 500}", ["table.radius is 500 m", "divide by 1000?"]),
+        ("table: {shape: rectangle, size: [800, 1200]}", ["table.size is 1200 m", "divide by 1000?"]),
         ("table: {friction: 0}", ["table.friction", "0"]),
         ("arm: {models: lego}", ["arm.models", "primitives", "drake_models", "'lego'"]),
         ("simulation: {time_step: 0.1}", ["simulation.time_step", "0.01", "0.1"]),

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem, PortDataType
+from pydrake.systems.framework import Context, LeafSystem, PortDataType
 
 from slipmap.models.perception.seen_object import ObservedPose
 
@@ -21,6 +21,10 @@ class DrivenBlock:
         self._simulator = Simulator(system)
         self._context = self._simulator.get_mutable_context()
         self.set(**inputs)
+
+    @property
+    def context(self) -> Context:
+        return self._context
 
     @property
     def time(self) -> float:

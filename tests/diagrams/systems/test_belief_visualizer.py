@@ -114,7 +114,8 @@ def drawn() -> Iterator[tuple[Recorder, Diagram]]:
             },
         )
     )
-    visualizer = builder.AddSystem(BeliefVisualizer(recorder, period=0.1))  # type: ignore[arg-type]
+    visualizer = BeliefVisualizer(recorder, period=0.1)  # type: ignore[arg-type]
+    builder.AddNamedSystem("belief_visualizer", visualizer)
     for port in ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch"):
         builder.Connect(player.GetOutputPort(port), visualizer.GetInputPort(port))
     yield recorder, builder.Build()

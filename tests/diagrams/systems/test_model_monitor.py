@@ -109,7 +109,7 @@ def diagram() -> Diagram:
         "trials": records_at,
     }
     player = builder.AddSystem(Player({}, values))
-    monitor = builder.AddSystem(ModelMonitor(SENSORS, PERIOD))
+    monitor = builder.AddNamedSystem("model_monitor", ModelMonitor(SENSORS, PERIOD))
     for port in values:
         builder.Connect(player.GetOutputPort(port), monitor.GetInputPort(port))
     return builder.Build()

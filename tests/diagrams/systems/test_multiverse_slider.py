@@ -74,7 +74,7 @@ def diagram() -> Diagram:
             },
         )
     )
-    multiverse = builder.AddSystem(MultiverseSlider(H))
+    multiverse = builder.AddNamedSystem("multiverse_slider", MultiverseSlider(H))
     for port in ("finger", "belief", "object_pose", "push", "trials"):
         builder.Connect(player.GetOutputPort(port), multiverse.GetInputPort(port))
     return builder.Build()

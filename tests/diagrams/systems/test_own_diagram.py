@@ -10,15 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 from driven_block import DrivenBlock
+from moving_blocks import block_belief
+from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
+from slipmap.diagrams.systems.cell_grid_slider import slider_of_hypothesis
 from slipmap.diagrams.systems.finger import FingerPath
 from slipmap.diagrams.systems.identification import PERIOD, Identification
 from slipmap.diagrams.systems.measurement_logger import TrialLogger
+from slipmap.diagrams.systems.model_monitor import ModelMonitor
+from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
 from slipmap.models.measurements import Trial
-from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.measurements.push_dataset import Noise, Table
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.table_push import TablePush
 
@@ -216,3 +222,15 @@ def test_it_learns_from_what_its_arguments_say(made: dict[str, Any]) -> None:
     belief = learner.read("belief")
     assert (belief.finger_radius, belief.gravity, len(belief)) == (0.007, 1.62, 2)
     assert belief.grid is grid
+
+
+def test_a_diagram_may_have_two_of_each_block() -> None:
+    """Drake exits where two systems have one name; without a name of their own it makes names up."""
+    builder = DiagramBuilder()
+    meshcat = Meshcat()
+    for path in ("/one", "/other"):
+        builder.AddSystem(slider_of_hypothesis(block_belief(1), 0, H))
+        builder.AddSystem(MultiverseSlider(H))
+        builder.AddSystem(ModelMonitor(Noise(position=1e-3, angle=1e-2)))
+        builder.AddSystem(BeliefVisualizer(meshcat, path=path))
+    assert len(builder.Build().GetSystems()) == 8

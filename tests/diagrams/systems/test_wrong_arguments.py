@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -149,9 +150,54 @@ def test_numbers_of_numpy_are_numbers() -> None:
     [
         (lambda: Identification(3), r"make_dataset must be a function .* got a int"),  # type: ignore[arg-type]
         (lambda: Identification(tilted_block()), r"got a PushDataset; slipmap\.identify"),  # type: ignore
+        (lambda: FingerPath([1], 0.01), r"FingerPath: a push must be a TablePush, such as .*; got a int"),  # type: ignore
         (lambda: BeliefVisualizer(None), "meshcat must be a .*Meshcat, got None"),  # type: ignore
     ],
 )
 def test_a_thing_of_another_kind_is_refused_with_what_is_wanted(make: Callable[[], Any], told: str) -> None:
     with pytest.raises(TypeError, match=told):
         make()
+
+
+@pytest.mark.parametrize("block", [slider([]), MultiverseSlider(0.005)], ids=["one", "all"])
+def test_a_wrench_that_is_not_finite_is_refused(block: Any) -> None:
+    driven = DrivenBlock(block, wrench=[np.nan, 0.0, 0.0, 0.0, 0.0])
+    if isinstance(block, MultiverseSlider):
+        block.set_belief(driven.context, block_belief(2), np.zeros(3))
+    with pytest.raises(
+        ValueError, match=r"wrench: .* five finite numbers, .* got \[nan, 0.0, 0.0, 0.0, 0.0\]"
+    ):
+        driven.advance(0.01)
+
+
+@pytest.mark.parametrize("pose", [[np.nan, 0.0, 0.0], [0.0, 0.0]])
+def test_hypotheses_are_placed_at_a_pose_only(pose: list[float]) -> None:
+    universes = MultiverseSlider(0.005)
+    with pytest.raises(ValueError, match=r"set_belief: pose must be (finite|of shape \(3,\)), got"):
+        universes.set_belief(universes.CreateDefaultContext(), block_belief(2), pose)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("block", "port", "value", "told"),
+    [
+        (
+            Identification(grid=block()),
+            "trials",
+            tilted_block(),
+            r"Identification: the port trials takes a Seq",
+        ),
+        (
+            MultiverseSlider(0.005),
+            "belief",
+            tilted_block(),
+            "MultiverseSlider: the port belief takes a Belief",
+        ),
+    ],
+)
+def test_a_value_of_another_kind_at_a_port_is_refused_by_its_name(
+    block: Any, port: str, value: Any, told: str
+) -> None:
+    rest = {"push": SimpleNamespace(push_id=1), "belief": block_belief(2), "trials": ()}
+    inputs = {port: value} if port == "trials" else {**rest, port: value}
+    with pytest.raises(TypeError, match=told):
+        DrivenBlock(block, **inputs).advance(0.1)

@@ -11,7 +11,7 @@ import pytest
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.loops.exploration_run import DOING, ROUND
 from slipmap.diagrams.station.arm import HOME
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError
 from slipmap.diagrams.systems.diagnosis import Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.testing import (
@@ -21,7 +21,9 @@ from slipmap.diagrams.testing import (
     assert_adopts,
     assert_alarm,
     assert_better_than_uniform,
+    assert_held,
     assert_limits_kept,
+    assert_names,
     assert_predicts,
     assert_quiet,
     open_cell,
@@ -79,7 +81,7 @@ def learned(*errors: float) -> Identification:
 
 def test_predictions_are_judged_by_the_worst_push():
     assert_predicts(learned(0.001, 0.004), within=0.005)
-    with pytest.raises(AssertionError, match=r"ended 6\.0 mm .*5\.0 mm are allowed[^$]*trials/001"):
+    with pytest.raises(AssertionError, match=r"ended 6\.0 mm .*; 5 mm are allowed[^$]*trials/001"):
         assert_predicts(learned(0.001, 0.006), within=0.005)
     with pytest.raises(AssertionError, match="no push has the role fit"):
         assert_predicts(learned(0.001), within=0.005, role="fit")
@@ -228,3 +230,41 @@ def test_assertions_say_what_they_take():
         assert_limits_kept([log(0.5)], Scenario())
     with pytest.raises(AssertionError, match="no push has the role heldout"):
         assert_better_than_uniform(learned())
+    with pytest.raises(ValueError, match="within must be positive and finite, got 1 mm m"):
+        assert_predicts(learned(0.001), within="1 mm")
+    with pytest.raises(TypeError, match=r"diagnosis must be a Diagnosis, such as slipmap\.diagnose"):
+        assert_names(learned(0.001), "tether")
+    with pytest.raises(TypeError, match=r"run must be an ExplorationRun, .*; got a Identification"):
+        assert_adopts(learned(0.001), "tether")
+    with pytest.raises(TypeError, match=r"run must be a PregraspRun, .*; got a Identification"):
+        assert_held(learned(0.001))
+
+
+@pytest.mark.parametrize("wrong", [0, -1, np.nan])
+def test_assertions_that_would_hold_whatever_happened_are_refused(wrong):
+    with pytest.raises(ValueError, match="assert_better_than_uniform: times must be positive"):
+        assert_better_than_uniform(learned(0.05), times=wrong)
+    with pytest.raises(ValueError, match="assert_quiet: judged must be a whole number of at least 1"):
+        assert_quiet(watched(), judged=wrong)
+
+
+def test_a_failed_assertion_names_what_was_asked_for():
+    with pytest.raises(AssertionError, match=r"that of a uniform object 20\.0 mm; .* 6 times as large"):
+        assert_better_than_uniform(learned(0.004), times=6)
+    with pytest.raises(AssertionError, match=r"ended 4\.0 mm from its prediction; 0\.001 mm are allowed"):
+        assert_predicts(learned(0.004), within=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["delay", "jump"])
+def test_a_fault_without_its_amount_is_refused(kind):
+    with pytest.raises(ValueError, match=f"status {kind}: changes nothing; give its amount in"):
+        Fault("status", kind)
+
+
+def test_a_cell_with_a_wrong_scenario_is_refused_when_it_is_opened(tmp_path):
+    scenario = Scenario()
+    scenario.object.nmae = "box"
+    for wrong, error in ((scenario, ScenarioError), ("cell.yaml", TypeError)):
+        with pytest.raises(error), open_cell("lockstep", tmp_path / "cell", wrong):
+            pass
+    assert not (tmp_path / "cell").exists()

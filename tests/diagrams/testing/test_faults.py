@@ -172,7 +172,7 @@ def test_unknown_faults_are_told_with_what_there_is():
         Fault("pictures", "zeros", band=(0.5, 0.2))
     with pytest.raises(ValueError, match="before it was sent"):
         Fault("status", "delay", -0.1)
-    assert all(Fault(of, kind).channel for of, kinds in KINDS.items() for kind in kinds)
+    assert all(Fault(of, kind, 0.1).channel for of, kinds in KINDS.items() for kind in kinds)
 
 
 def test_few_pictures_are_kept():

@@ -23,6 +23,7 @@ from sliding_objects import (
     with_start,
 )
 
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, find_contacts
@@ -90,6 +91,26 @@ def test_gap_at_a_corner_that_is_listed_twice() -> None:
     grid = CellGrid(ONE_CELL, 0.01, exterior)
     point = np.array([[0.053, -0.034]])
     assert gap(point, FINGER_RADIUS, grid.edges) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_gap_level_with_a_corner_that_rounding_has_shifted() -> None:
+    # A regular polygon computed with sine and cosine: its leftmost corner is at y = 6e-18 m, not at 0.
+    angles = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    grid = CellGrid(ONE_CELL, 0.01, 0.05 * np.column_stack([np.cos(angles), np.sin(angles)]))
+    levels = grid.exterior[60, 1] * np.linspace(-0.1, 1.1, 121)
+    points = np.column_stack([np.full_like(levels, -0.08), levels])
+    assert gap(points, FINGER_RADIUS, grid.edges) == pytest.approx(0.03 - FINGER_RADIUS, abs=1e-12)
+
+
+def test_a_push_on_a_corner_that_rounding_has_shifted_goes_straight() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    disc = cells_from_polygon(0.05 * np.column_stack([np.cos(angles), np.sin(angles)]), count=60)
+    maps = Maps(np.full(len(disc), 0.01), np.full(len(disc), 0.4), np.array([0.5]))
+    end = 0.02 + FINGER_RADIUS + 0.05  # where the finger leaves the centre
+    for h in (0.002, 0.005, 0.01):
+        tip = line((-0.08, 0.0), (0.02, 0.0), 5.0, h)
+        (pose,) = Slider(disc, FINGER_RADIUS).rollout(maps, [finger_push(tip, h)]).end[:, 0, :3]
+        assert pose == pytest.approx([end, 0.0, 0.0], abs=1e-4)
 
 
 def test_gap_before_a_corner_in_a_straight_side() -> None:
