@@ -1,8 +1,8 @@
 """Motion from recorded rows: the smooth track of a finger, and the initial twist of an object in a trial.
 
 A finger moves smoothly, but its record jitters. Fed into the model unsmoothed, jitter rattles the contact
-between no force and twice the force, and rectifies into a drift: ten pushes with jitter of 0.1 mm, most of them
-taps, ended 2.4 mm off (docs/lab/estimator.md).
+between no force and twice the force, and rectifies into a drift: with jitter of 0.1 mm, ten pushes,
+most of them taps, ended 2.4 mm off (docs/lab/estimator.md).
 """
 
 from collections.abc import Sequence
