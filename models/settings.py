@@ -4,10 +4,11 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import field, fields
 from numbers import Integral, Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 
 def check_choice(name: str, value: object, choices: Sequence[object]) -> None:
@@ -48,12 +49,14 @@ def check_several(name: str, value: object, source: str) -> None:
         raise TypeError(f"{name} must be a list, {source}; got one {type(value).__name__}")
 
 
-def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def finite_array(name: str, values: "ArrayLike", shape: tuple[int, ...]) -> "NDArray[np.float64]":
     """The values as an array.
 
     Raises:
         ValueError: another shape, or a number that is not finite.
     """
+    import numpy as np
+
     array = np.asarray(values, dtype=float)
     if array.shape != shape:
         raise ValueError(f"{name} must be of shape {shape}, got {array.shape}")

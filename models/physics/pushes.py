@@ -14,7 +14,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.kernel_tools import JoinedPushes
 from slipmap.models.settings import check_kind, check_several
 
-_FARTHEST = 10.0  # m between finger and object; no finger is as far, but lengths in mm are
+_FARTHEST = 20.0  # m between finger and object; no finger is as far, but lengths in mm are
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Push:
 
     Raises:
         ValueError: shapes do not match, the step is not positive, the span of forces is negative, times lie
-            outside the push or do not ascend, or the finger stays more than 10 m away.
+            outside the push or do not ascend, or the finger stays more than 20 m away.
 
     Example:
         >>> import numpy as np

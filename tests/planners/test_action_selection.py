@@ -18,6 +18,7 @@ from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 from slipmap.planners.action_selection import _imagined, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import STRATEGIES, PokeSettings
+from slipmap.planners.table_push import TablePush
 
 RADIUS = 0.008
 POSE = np.array([0.02, -0.03, 0.7])
@@ -317,7 +318,10 @@ def test_what_is_no_pose_is_refused(pose):
         ({"belief": "belief.npz"}, "belief must be a Belief, such as .*; got a str"),
         ({"table": 0.5}, "choose_push: table must be a Table, such as .*; got a float"),
         ({"past": 3}, "choose_push: past must be a list"),
-        ({"past": [choose().push]}, "choose_push: a past push must be a Choice, .*; got a TablePush"),
+        (
+            {"past": [TablePush([-0.1, 0.0], [0.1, 0.0], 0.02)]},
+            "choose_push: a past push must be a Choice, .*; got a TablePush",
+        ),
     ],
 )
 def test_other_kinds_of_arguments_are_refused_by_name(options, words):

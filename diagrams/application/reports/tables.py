@@ -101,7 +101,7 @@ def show_surprises(pushes: Sequence[Prediction], where: str, whose: str = "its")
 def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
     """Whether held-out pushes end much farther off than the belief allows, see `doubts`."""
     held = [push for push in pushes if push.role == "heldout"]
-    return bool(phrases.beyond_spread(held, _floor(dataset)))
+    return len(held) >= phrases.FEWEST_JUDGES and bool(phrases.beyond_spread(held, _floor(dataset)))
 
 
 def _floor(dataset: PushDataset) -> NoiseFloor | None:
