@@ -216,6 +216,7 @@ class ExplorationBlocks:
                 (see, "cell_grid", self.diagnosis),
                 (self.monitor, "watch", self.diagnosis),
                 (self.diagnosis, "effects", self.identification),
+                (self.diagnosis, "rival", self.identification),
                 (self.diagnosis, "repair", self.supervisor, self.exploration),
             ]
             if self.visualizer is not None:

@@ -328,7 +328,7 @@ def explored(
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
     repair = output_of(loop, "diagnosis", "repair", ended.context) if options.adapt else None
-    learn = learning(options.effects if repair is None else repair.effects)
+    learn = learning(options.effects) if repair is None else learning(repair.effects, rival=repair.rival)
     identification = learn(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
     return ExplorationRun(
         dataset,

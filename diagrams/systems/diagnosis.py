@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,12 @@ class Finding:
     effects: tuple[str, ...]  # of the model from then on
     action: str  # `adopts`, `keeps`, `drops`, `pushes on`, `goes on without`
     telling: str = ""  # what the next pushes are chosen to tell apart; empty if nothing
+    rival: str = ""  # an effect that may be there instead of the last one; empty if none
+
+    @property
+    def model(self) -> str:
+        """The effects in words: `table_tilt or tether`."""
+        return either(self.effects, self.rival)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,12 @@ class Repair:
     question: Question | None = None  # what the next push is to tell apart
     asks_again: bool = False  # whether the question about effects on trial has yet to be found again
     given: tuple[str, ...] = ()  # effects that the model had from the start
+    rival: str = ""  # see `Finding`
+
+    @property
+    def model(self) -> str:
+        """The effects in words: `table_tilt or tether`."""
+        return either(self.effects, self.rival)
 
     @property
     def tried(self) -> Finding | None:
@@ -85,7 +97,8 @@ class Repair:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data, for people and programs."""
-        return {"effects": list(self.effects), "findings": [asdict(finding) for finding in self.findings]}
+        findings = [asdict(finding) for finding in self.findings]
+        return {"effects": list(self.effects), "rival": self.rival, "findings": findings}
 
     def to_run(self) -> dict[str, Any]:
         """As plain data from which another process can continue; the question is left out."""
@@ -101,10 +114,11 @@ class Repair:
         """
         findings = tuple(Finding(**{**one, "effects": tuple(one["effects"])}) for one in stored["findings"])
         trials, effects = int(stored["trials"]), tuple(stored["effects"])
+        wanted, rival = int(stored["wanted"]), str(stored.get("rival", ""))
         last = findings[-1] if findings else None
         if last is not None and last.action == "pushes on" and last.telling and last.pushes == trials:
-            return cls(trials - 1, effects, int(stored["wanted"]), findings[:-1])
-        found = cls(trials, effects, int(stored["wanted"]), findings)
+            return cls(trials - 1, effects, wanted, findings[:-1], rival=rival)
+        found = cls(trials, effects, wanted, findings, rival=rival)
         if last is not None and last.telling and found.tried is not None:
             return replace(found, trials=trials - 1, asks_again=True)
         return found
@@ -119,6 +133,8 @@ class _Answer:
     # names and numbers of parameters of each rival's effects, without those `OF_FORCE`
     rivals: tuple[tuple[tuple[str, int], ...], ...] = ()
     p: float = 0.0  # of their largest gain
+    # gains of the effects that leave nothing unexplained, in the answer or not, nats; not those `OF_FORCE`
+    explaining: Mapping[str, float] = field(default_factory=dict)
     question: Question | None = None
 
 
@@ -129,11 +145,13 @@ class Diagnosis(PythonSystem):
     - `trials`: tuple of recorded `Trial`s, the oldest first; `cell_grid`: `CellGrid` of the object.
     - `watch`: `Watch` of a `ModelMonitor` that has the same trials.
     Outputs:
-    - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
+    - `repair`: `Repair`; `effects`, `rival`: its names, for an `Identification`.
 
     All pushes are diagnosed when the monitor raises an alarm or is in doubt, and every few pushes even if
     none was surprising: a late camera, for example, does not change where objects come to rest. One effect is
     adopted, or two that are needed together; among effects that the pushes cannot tell apart, the simplest.
+    Where another effect explains the pushes better than that, though it is less simple, it is its rival:
+    hypotheses have one or the other. Near the middle of a table, a tether acts like a tilt.
     Effects of the force sensor are not adopted, as they move nothing. If the verdict is `undecided` and the
     best effect gains more than is likely by chance, the block asks for another push and states which models
     it should tell apart (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the
@@ -163,7 +181,7 @@ class Diagnosis(PythonSystem):
         >>> import slipmap
         >>> block = slipmap.Diagnosis(lambda trials, grid: None, slipmap.Scenario().repair, pushes=5)
         >>> [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
-        ['repair', 'effects']
+        ['repair', 'effects', 'rival']
     """
 
     def __init__(
@@ -190,6 +208,7 @@ class Diagnosis(PythonSystem):
         self.declare_steps(PERIOD, self._state, self._next)
         self.declare_output_of("repair", self._state, lambda state: state[0])
         self.declare_output_of("effects", self._state, lambda state: state[0].effects)
+        self.declare_output_of("rival", self._state, lambda state: state[0].rival)
 
     def _next(self, context: Context, now: tuple[Repair, Any]) -> tuple[Repair, Any]:
         repair, job = now
@@ -212,7 +231,7 @@ class Diagnosis(PythonSystem):
                 )
                 return repair, (repair.trials + 1, begins, _QUESTION)
             if repair.tried is not None and len(trials) >= due:
-                models = (repair.effects, self._without(repair))
+                models = ((repair.effects, repair.rival), (self._without(repair), ""))
                 task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
             elif self._doubtful(repair, len(trials), watch):
                 if len(trials) < self._settings.fewest:
@@ -259,15 +278,16 @@ class Diagnosis(PythonSystem):
             if not named and set(repair.effects) - set(self._given) in sets:  # still in the running
                 named = tuple(name for name in repair.effects if name not in self._given)
         effects, question = (*self._given, *named), found.question
+        rival = self._rival_of(named, found.explaining, repair)
         is_open = found.verdict == "undecided" and found.p <= self._settings.chance
         if found.verdict == FAILED:
-            effects, question = repair.effects, None
+            effects, rival, question = repair.effects, repair.rival, None
         elif not named and (
             (found.verdict != "adequate" and self._confirmed(repair))
             or (found.verdict in _OPEN and repair.tried is not None)
         ):
             # Something else is wrong as well, but pushes have shown, or will, whether these effects help.
-            effects = repair.effects
+            effects, rival = repair.effects, repair.rival
         if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
         elif effects != repair.effects:
@@ -279,11 +299,25 @@ class Diagnosis(PythonSystem):
         if action == "goes on without":
             question = None
         telling = "" if question is None else question.words
-        finding = Finding(count, found.verdict, found.sentence, effects, action, telling)
+        sentence = found.sentence
+        if named and rival:
+            sentence += f" {rival} explains these pushes no worse, so the model has one or the other."
+        finding = Finding(count, found.verdict, sentence, effects, action, telling, rival)
         after = _after(repair, finding, question)
         if action == "adopts":
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
         return self._pushing_on(after) if is_open else after
+
+    def _rival_of(self, named: Sequence[str], explaining: Mapping[str, float], repair: Repair) -> str:
+        """The rival of a single effect: one that explains the pushes better, or the present one."""
+        others = {name: gain for name, gain in explaining.items() if name not in self._given}
+        if len(named) != 1 or named[0] not in others:
+            return ""
+        best = max(others, key=lambda name: others[name])
+        if best != named[0]:
+            return best
+        present = {*repair.effects, repair.rival} - {*self._given, named[0], ""}
+        return next((name for name in others if name in present), "")
 
     def _tried(self, repair: Repair, count: int, errors: Sequence[tuple[float, float]]) -> Repair:
         """The repair after effects were tested on pushes.
@@ -292,13 +326,12 @@ class Diagnosis(PythonSystem):
             count: pushes recorded so far.
             errors: of each push since they were adopted, with the effects and without, m.
         """
-        names = " and ".join(repair.effects)
         telling = [pair for pair in errors if abs(pair[0] - pair[1]) > TELLS]
         own, other = (1e3 * np.mean([pair[k] for pair in telling or errors]) for k in (0, 1))
         judging = len(telling or errors)
         pushes = "1 push was" if judging == 1 else f"{judging} pushes were"
-        said = f"With {names}, {pushes} {own:.1f} mm off on average; without, {other:.1f} mm."
-        effects, action = repair.effects, "keeps"
+        said = f"With {repair.model}, {pushes} {own:.1f} mm off on average; without, {other:.1f} mm."
+        effects, rival, action = repair.effects, repair.rival, "keeps"
         verdict, wanted = TRIED, repair.wanted
         assert repair.tried is not None
         first = repair.tested_at == repair.tried.pushes
@@ -310,8 +343,9 @@ class Diagnosis(PythonSystem):
                 said += " That is close, so the test goes on."
                 verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
             else:
-                effects, action = self._without(repair), "drops"
-        return replace(_after(repair, Finding(count, verdict, said, effects, action)), wanted=wanted)
+                effects, rival, action = self._without(repair), "", "drops"
+        finding = Finding(count, verdict, said, effects, action, rival=rival)
+        return replace(_after(repair, finding), wanted=wanted)
 
     def _confirmed(self, repair: Repair) -> bool:
         """Whether the present effects were tested on pushes and kept."""
@@ -339,6 +373,7 @@ def _after(repair: Repair, finding: Finding, question: Question | None = None) -
         (*repair.findings, finding),
         question,
         given=repair.given,
+        rival=finding.rival,
     )
 
 
@@ -357,7 +392,23 @@ def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed:
         (one.p_value for one in found.candidates if one.p_value is not None and one.name not in OF_FORCE),
         default=0.0,
     )
-    return _Answer(found.verdict, found.sentence, rivals, p, robots_question(found, dataset))
+    explaining = {
+        one.name: one.fitted_gain
+        for one in found.candidates
+        if one.explains and one.fitted_gain is not None and one.name not in OF_FORCE
+    }
+    return _Answer(found.verdict, found.sentence, rivals, p, explaining, robots_question(found, dataset))
+
+
+def either(effects: Sequence[str], rival: str) -> str:
+    """Effects of a model in words, with the rival of the last one."""
+    return " and ".join(effects) + f" or {rival}" * bool(rival)
+
+
+def has_model(has: Sequence[str], effects: Sequence[str], rival: str) -> bool:
+    """Whether a belief that has some effects includes those of a model, or its rival instead of the last."""
+    *others, last = effects or ("",)
+    return not effects or (set(others) <= set(has) and (last in has or (bool(rival) and rival in has)))
 
 
 def _errors_of(
@@ -365,19 +416,22 @@ def _errors_of(
     trials: Sequence[Trial],
     grid: CellGrid,
     count: int,
-    models: tuple[tuple[str, ...], tuple[str, ...]],
+    models: tuple[tuple[tuple[str, ...], str], tuple[tuple[str, ...], str]],
     seed: int,
 ) -> list[tuple[float, float]]:
-    """Errors, m, of the pushes after the first `count`, each predicted by two models with these effects that
-    were learned from all pushes before it.
+    """Errors, m, of the pushes after the first `count`, each predicted by two models with these effects and
+    their rival, learned from all pushes before it.
 
     Of a push, the larger one of its mean error (ADD) along the way and that at the end: a late camera, for
     example, does not change where objects come to rest.
     """
 
-    def error(effects: tuple[str, ...], before: int) -> float:
+    def error(model: tuple[tuple[str, ...], str], before: int) -> float:
+        effects, rival = model
         taught = make([replace(trial, role="fit") for trial in trials[:before]], grid)
-        (push,) = predict(learning(effects)(taught, seed=seed).belief, make([trials[before]], grid))
+        (push,) = predict(
+            learning(effects, rival=rival)(taught, seed=seed).belief, make([trials[before]], grid)
+        )
         return max(push.errors.mean_add, push.final_add)
 
     with_them, without = models

@@ -34,6 +34,8 @@ class Identification(PythonSystem):
       the argument `grid`.
     - `effects`: abstract, tuple of the names of library effects that the model has now; if not connected, the
       argument. When they change, everything is learned again.
+    - `rival`: abstract, name of an effect that may be there instead of the last of these; none if empty or
+      not connected.
     Outputs:
     - `belief`: abstract, `Belief`, or None before the first push.
     - `learned`: abstract, int: number of pushes that it was learned from; 0 while its effects are outdated.
@@ -119,24 +121,26 @@ class Identification(PythonSystem):
         self._options = {"friction_laws": friction_laws, "hypotheses": hypotheses, "seed": seed}
         self._learned = learned
         self._worker = worker
-        self.declare_inputs("trials", "cell_grid", "effects", trials=Sequence, cell_grid=CellGrid)
-        self._belief = self.DeclareAbstractState(held((None, 0, self._effects)))
+        self.declare_inputs("trials", "cell_grid", "effects", "rival", trials=Sequence, cell_grid=CellGrid)
+        self._belief = self.DeclareAbstractState(held((None, 0, (self._effects, ""))))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)
         self.declare_output_of("belief", self._belief, lambda learned: learned[0])
-        after = {self.abstract_state_ticket(self._belief), self.GetInputPort("effects").ticket()}
-        self.declare_output("learned", self._count, after)
+        inputs = (self.GetInputPort(name).ticket() for name in ("effects", "rival"))
+        self.declare_output("learned", self._count, {self.abstract_state_ticket(self._belief), *inputs})
 
-    def _wanted(self, context: Context) -> tuple[str, ...]:
+    def _wanted(self, context: Context) -> tuple[tuple[str, ...], str]:
+        """Effects of the model, and the rival of the last one."""
         given = self.optional_input(context, "effects")
-        return self._effects if given is None else given
+        rival = self.optional_input(context, "rival") or ""
+        return self._effects if given is None else given, rival
 
     def _count(self, context: Context) -> int:
-        _, count, effects = read(context, self._belief)
-        return int(count) if effects == self._wanted(context) else 0
+        _, count, model = read(context, self._belief)
+        return int(count) if model == self._wanted(context) else 0
 
     def _learn(self, context: Context, state: State) -> EventStatus:
-        job, count, effects = read(context, self._job) or (None, 0, ())
+        job, count, model = read(context, self._job) or (None, 0, ((), ""))
         if job is None:
             trials = [trial for trial in in_order(self.input(context, "trials")) if trial.role == "fit"]
             if len(trials) <= self._count(context) or not trials:
@@ -144,22 +148,27 @@ class Identification(PythonSystem):
             grid = self.optional_input(context, "cell_grid") or self._grid
             if grid is None:
                 raise ValueError("Identification: connect the port cell_grid, or give the argument grid")
-            count, effects = len(trials), self._wanted(context)
-            learn = partial(learning(effects, self._method), **self._options)
+            count, model = len(trials), self._wanted(context)
+            effects, rival = model
+            learn = partial(learning(effects, self._method, rival), **self._options)
             job = begun(self._worker, learn, self._make_dataset(trials, grid))
         if not job.done():
-            replace_held(state, self._job, (job, count, effects))
+            replace_held(state, self._job, (job, count, model))
             return EventStatus.Succeeded()
         belief = job.result().belief
         replace_held(state, self._job, None)
-        replace_held(state, self._belief, (belief, count, effects))
+        replace_held(state, self._belief, (belief, count, model))
         if self._learned is not None:
             self._learned(belief, count)
         return EventStatus.Succeeded()
 
 
-def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Callable[..., Learned]:
+def learning(
+    effects: Sequence[str] = (), method: str = "gauss-newton", rival: str = ""
+) -> Callable[..., Learned]:
     """`identify` with effects of the library and a method; the other arguments remain to be given.
+
+    If there is a rival, it may be there instead of the last effect.
 
     Only Coulomb's law of friction is tried, as in the robot's own loops, unless they include
     `friction_laws=True`.
@@ -169,4 +178,7 @@ def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Calla
         ValueError: an unknown method, or effects with one that does not support them.
     """
     check_method(method, effects)
-    return partial(identify, effects=effects_named(effects), method=method, friction_laws=False)
+    rivals = [effects_named([*effects[:-1], rival])] if rival else []
+    return partial(
+        identify, effects=effects_named(effects), method=method, friction_laws=False, rivals=rivals
+    )

@@ -103,8 +103,9 @@ def _found(found: Finding, belief: Belief | None, *, asks: bool) -> tuple[str, s
         known = set() if belief is None else {effect.name for effect in belief.effects}
         if belief is not None and set(found.effects) <= known:
             sizes = [size for name in found.effects for size in effect_of_belief(name, belief)]
-        short = len(found.effects) == 1 and sizes and len(f"{did}: {sizes[0]}") <= _HEADING
-        did = f"{did}: {sizes[0] if short else ' and '.join(found.effects)}"
+        alone = len(found.effects) == 1 and not found.rival
+        short = alone and sizes and len(f"{did}: {sizes[0]}") <= _HEADING
+        did = f"{did}: {sizes[0] if short else found.model}"
     told = f"{', '.join(sizes)}. " if sizes else ""
     if found.telling and asks:
         return did, f"The next push tells {found.telling}."

@@ -257,6 +257,17 @@ def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
     return np.array([p.low for p in every]), np.array([p.high for p in every])
 
 
+def columns_of(effect: Effect, effects: Sequence[Effect]) -> slice:
+    """Columns of an effect's parameters among those of several effects, joined.
+
+    Raises:
+        ValueError: it is not among them.
+    """
+    names = [one.name for one in effects]
+    first = sum(len(one.parameters) for one in effects[: names.index(effect.name)])
+    return slice(first, first + len(effect.parameters))
+
+
 def scales(effects: Sequence[Effect], weight: float) -> FloatArray:
     """(P,) prior standard deviations of the parameters for an object of the given weight, N."""
     return np.array([p.scale * weight**p.weight_power for effect in effects for p in effect.parameters])

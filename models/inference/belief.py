@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, columns_of
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
 from slipmap.models.geometry import radius_of_gyration
@@ -31,6 +31,9 @@ LARGEST_FILE = 2**29
 
 END_ERRORS = "end_errors"
 """Key under which a belief stores the `cross_validation.end_errors` of the pushes that taught it."""
+
+RIVALS = "rivals"
+"""Key under which a belief about several models stores their effects and numbers of hypotheses, in order."""
 
 OUTLINE_ERROR = "outline_error"
 """Key under which a belief stores how far its outline may be off, see `Noise.outline`."""
@@ -241,6 +244,23 @@ class Belief:
         """(K,) friction force of the whole object in pure translation, Σ mu_i m_i g, N; if
         friction depends on the place by an effect (`Effect.level`), where its factor is 1."""
         return (self.maps.mass * self.maps.mu).sum(axis=1) * self.gravity
+
+    def parameters_of(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """The parameters (H, P) of an effect, and the probabilities (H,), of the H hypotheses that have it.
+
+        All have it, unless a rival may be there instead, see `identify`.
+
+        Raises:
+            ValueError: the model does not have the effect.
+        """
+        (effect,) = (effect for effect in self.effects if effect.name == name)
+        has = np.ones(len(self), dtype=bool)
+        if RIVALS in self.settings:
+            has = np.concatenate([
+                np.full(one["hypotheses"], name in one["effects"]) for one in self.settings[RIVALS]
+            ])  # fmt: skip
+        values = self.maps.effects[:, columns_of(effect, self.effects)]
+        return values[has], self.probability[has] / self.probability[has].sum()
 
     def save(self, path: str | Path) -> None:
         """Write to an `.npz` file, atomically.

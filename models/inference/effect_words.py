@@ -47,14 +47,13 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
 
 
 def effect_of_belief(name: str, belief: Belief) -> list[str]:
-    """The numbers of an effect, each in words: medians over a belief's hypotheses, without intervals."""
-    estimates = []
-    columns = iter(belief.maps.effects.T)
-    for effect in belief.effects:
-        for parameter, values in zip(effect.parameters, columns, strict=False):
-            numbers = interval(values, belief.probability)
-            estimates.append(ParameterEstimate(effect.name, parameter.name, parameter.unit, *numbers))
-    own = [estimate for estimate in estimates if estimate.effect == name]
+    """The numbers of an effect, each in words: medians over hypotheses that have it, without intervals."""
+    (effect,) = (effect for effect in belief.effects if effect.name == name)
+    carried, probability = belief.parameters_of(name)
+    own = [
+        ParameterEstimate(name, parameter.name, parameter.unit, *interval(values, probability))
+        for parameter, values in zip(effect.parameters, carried.T, strict=True)
+    ]
     return [reading.value_said() for reading in _readings(name, own, belief.grid)]
 
 

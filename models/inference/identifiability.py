@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, columns_of
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits
@@ -281,23 +281,24 @@ def _beyond(values: FloatArray, probability: FloatArray, variance: float, log: b
 
 
 def effect_quantities(
-    belief: Belief, effects: Sequence[Effect], likelihood: Likelihood, information: Fits
+    belief: Belief, effect: Effect, likelihood: Likelihood, information: Fits
 ) -> list[Quantity]:
-    """The same for the parameters of effects, which come first in the belief; clipped to the allowed range.
+    """The same for the parameters of an effect, if it is present; clipped to the allowed range.
 
     Intervals follow from the hypotheses or from the curvature of the cost, whichever is wider: where the
     model is good, the pushes disagree by less than the likelihood allows for.
     """
     prior = likelihood.prior
-    deviations = prior.effect_deviations(information.hessian[0])
-    named = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
-    left = np.diagonal(np.linalg.inv(information.hessian[0] + np.eye(prior.size)))[prior.plain :]
+    own = columns_of(effect, prior.slider.effects)
+    deviations = prior.effect_deviations(information.hessian[0])[own]
+    left = np.diagonal(np.linalg.inv(information.hessian[0] + np.eye(prior.size)))[prior.plain :][own]
+    carried, probability = belief.parameters_of(effect.name)
     facts = []
-    for (effect, parameter), values, share, deviation in zip(
-        named, belief.maps.effects.T, left, deviations, strict=False
+    for parameter, values, share, deviation in zip(
+        effect.parameters, carried.T, left, deviations, strict=True
     ):
-        more = _beyond(values, belief.probability, float(deviation) ** 2)
-        middle, low, high = interval(values, belief.probability, more=more)
+        more = _beyond(values, probability, float(deviation) ** 2)
+        middle, low, high = interval(values, probability, more=more)
         clear = parameter.null is not None and not low <= parameter.null <= high
         if share < SHOWN_SHARE:
             reason = "the pushes determine it, if the effect is present"
@@ -307,7 +308,7 @@ def effect_quantities(
             reason = "left open by these pushes; the prior decides"
         shown = bool(share < SHOWN_SHARE or clear)
         low, high = max(low, float(parameter.low)), min(high, float(parameter.high))
-        name = f"{effect}: {parameter.name}"
+        name = f"{effect.name}: {parameter.name}"
         facts.append(Quantity(name, parameter.unit, middle, low, high, shown, reason))
     return facts
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ from slipmap.models.inference.mixture import (
     explain,
     mixed_belief,
     on_a_slope,
+    shared_out,
     weighed,
     with_fine_fits,
 )
@@ -48,8 +50,8 @@ from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.measurements.rim_checks import beyond_table
 from slipmap.models.measurements.trial_checks import contradicted_by_contact
 from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.physics.rollout import Maps
-from slipmap.models.progress import Progress, about, silent
+from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.progress import Progress, about, part_of, silent
 from slipmap.models.settings import check_whole
 
 if TYPE_CHECKING:
@@ -74,6 +76,7 @@ def identify(
     progress: Progress | None = None,
     prior_settings: PriorSettings | None = None,
     friction_laws: bool = True,
+    rivals: Sequence[Sequence[Effect | str]] = (),
 ) -> Identification:
     """Learn the maps of mass and friction from a dataset's `fit` pushes; judge them on all pushes.
 
@@ -88,6 +91,9 @@ def identify(
             explains the pushes.
         friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
             (see `friction_laws`); takes longer. The method `paper` has only the plain one.
+        rivals: other sets of effects that may be there instead of `effects`, weighted in the same way: each
+            hypothesis has one set, and the other effects at their nulls. A rival that cannot be fitted, or
+            explains the pushes far worse, gets none.
 
     Returns:
         The result: `belief` with the masses (K, n), kg, and frictions (K, n) of the n cells in `belief.maps`,
@@ -108,7 +114,8 @@ def identify(
         (4, (1,))
     """
     added = effects_given(effects)
-    check_method(method, added)
+    others = [effects_given(rival) for rival in rivals]
+    check_method(method, [*added, *others])
     check_request(dataset, hypotheses, seed)
     off, _ = beyond_table(dataset, dataset.trials)
     if off is not None and not any(off in warning for warning in dataset.warnings):  # not read from a file
@@ -120,16 +127,23 @@ def identify(
     report("preparing pushes", 1, 1)
     if method == "paper":
         return _by_algorithm_1(dataset, observations, hypotheses, seed, report, started)
-    found: Fitted | None = None
-    if added:
+    fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
+    few = with_fewer_cells(dataset)
+
+    def with_effects(wanted: Sequence[Effect]) -> Fitted | None:
+        if not wanted:
+            return None
         from slipmap.models.inference.diagnosis.refits import find_effects
 
-        fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
-        few = with_fewer_cells(dataset)
-        found = find_effects(few, fitted, added, np.random.default_rng(seed), report)
+        return find_effects(few, fitted, wanted, np.random.default_rng(seed), report)
+
+    found, beside = with_effects(added), []
+    for other in others:
+        with suppress(DatasetError):
+            beside.append(with_effects(other))
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
-        prior_settings=prior_settings, friction_laws=friction_laws, started=started,
+        prior_settings=prior_settings, friction_laws=friction_laws, rivals=beside, started=started,
     )  # fmt: skip
 
 
@@ -144,6 +158,7 @@ def learn(
     report: Progress = silent,
     prior_settings: PriorSettings | None = None,
     friction_laws: bool = True,
+    rivals: Sequence[Fitted | EffectsGiven | None] = (),
     started: float | None = None,
 ) -> Identification:
     """Do the work of `identify` on prepared pushes, with the effects of an earlier fit as starting point.
@@ -152,14 +167,16 @@ def learn(
         observations: all its pushes; those with the role `fit` are fitted.
         found: the model with effects, as fitted before; None for the model without.
         hypotheses, seed, prior_settings, friction_laws: as in `identify`.
+        rivals: like `found`, other models that may be right instead.
         started: reading of `time.perf_counter` when the work began; now if None.
     """
     started = time.perf_counter() if started is None else started
     fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
-    found = None if found is None else on_a_slope(found, dataset)
-    effects = () if found is None else found.effects
+    models = [None if one is None else on_a_slope(one, dataset) for one in (found, *rivals)]
+    found = models[0]
+    given = [effect for one in models if one is not None for effect in one.effects]
     # A force that contradicts the contact is useless unless an effect explains it.
-    contradicted = not any(effect.only_force for effect in effects) and contradicted_by_contact(
+    contradicted = not any(effect.only_force for effect in given) and contradicted_by_contact(
         dataset, dataset.fit_trials
     )
     if contradicted:
@@ -167,28 +184,35 @@ def learn(
 
     few = with_fewer_cells(dataset)
     fitting = partial(report, "fitting")
-    with of_dataset(dataset.name, effects):
-        every = explain(few, fitted, prior_settings, fitting, found, plain_only=not friction_laws)
+    with of_dataset(dataset.name, given):
+        explained = partial(explain, few, fitted, prior_settings, plain_only=not friction_laws)
+        every = explained(part_of(fitting, 0, len(models)), found)
+        for place, other in enumerate(models[1:], 1):
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                every = [*every, *explained(part_of(fitting, place, len(models)), other)]
+        every = shared_out(every) if rivals else every
         share_of_known = None
         if dataset.known is not None and found is None:
             free, own = replace(few, known=None), partial(report, "fitting free maps")
-            rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
-            share_of_known = weighed(rivals)[0].share
+            compared = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+            share_of_known = weighed(compared)[0].share
         every = with_fine_fits(every, dataset.noise)
-        learned = mixed_belief(few, every, effects, hypotheses, seed, report)
+        learned = mixed_belief(few, every, hypotheses, seed, report)
         noise = sensor_noise(dataset)
         left_out = leave_out(*every[0].drawn_from[-1])
         told = {**learned.settings, END_ERRORS: end_errors(left_out, noise), OUTLINE_ERROR: noise.outline}
         belief = spread_out(replace(learned, settings=told), dataset)
         predictions = predict_observations(belief, observations, noise, report)
-    likelihood, information = every[0].likelihood, every[0].best
-    informed = [Informed(one.likelihood, one.best, one.share) for one in every]
+    leading = [one for one in every if one.given == every[0].given]
+    informed = [Informed(one.likelihood, one.best, one.share) for one in leading]
     facts = quantities(
-        learned, informed, contradicted=contradicted, bold=bold_compared(every), heaviest=dataset.heaviest
+        learned, informed, contradicted=contradicted, bold=bold_compared(leading), heaviest=dataset.heaviest
     )
     if share_of_known == 0.0:  # wrong maps, or an effect that would otherwise bend them
         facts = tuple(replace(fact, shown=False, reason=_REFUTED) for fact in facts)
-    facts = (*facts, *effect_quantities(learned, effects, likelihood, information))
+    for effect in dict.fromkeys(effect for one in every for effect in one.given):
+        one = next(one for one in every if effect in one.given)
+        facts = (*facts, *effect_quantities(learned, effect, one.likelihood, one.best))
     shares = belief.settings["friction_laws"]
     return Identification(
         belief, predictions, facts, time.perf_counter() - started, shares, share_of_known, dataset=dataset

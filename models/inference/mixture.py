@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, columns_of
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.belief import RIVALS, Belief
 from slipmap.models.inference.friction_laws import PLAIN, beside_slope, combinations, effect_prior, name_of
 from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import (
@@ -81,6 +81,7 @@ class Explanation:
     structure: str  # of the maps, see `prior.STRUCTURES`
     ladder: Ladder  # of `fit_with_trust`
     log_evidence: float  # of the best fit in it, α's prior included; -inf where a fit failed
+    given: tuple[Effect, ...] = ()  # effects besides those of the law
     share: float = 1.0  # of the belief
     fine: Ladder = field(default_factory=list)  # of `refined`, where the smallest α allows more than need be
 
@@ -184,7 +185,7 @@ def explain(
             if not every and one is chosen[-1]:
                 raise
             continue
-        every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder)))
+        every.append(Explanation(one.law, one.structure, ladder, _evidence(ladder), one.given))
     progress(1, 1)
     return shared_out(every)
 
@@ -249,7 +250,7 @@ def _compared(
             return []
         finally:
             own(1, 1)
-        return [Explanation(name, structure, ladder, _evidence(ladder))]
+        return [Explanation(name, structure, ladder, _evidence(ladder), given)]
 
     def chain(law: Sequence[Effect], usual: Explanation) -> list[Explanation]:
         """Fits of a law with the structures besides the usual one, each from the best so far."""
@@ -333,7 +334,6 @@ def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
 def mixed_belief(
     dataset: PushDataset,
     every: Sequence[Explanation],
-    given: Sequence[Effect],
     hypotheses: int,
     seed: int,
     report: Progress,
@@ -342,14 +342,13 @@ def mixed_belief(
 
     Args:
         dataset: whose pushes were fitted.
-        every: of `explain`.
-        given: effects included in all laws.
+        every: of `explain`, or of several models together, the largest share first.
         hypotheses: K.
         seed: of the draws.
 
     Returns:
-        Hypotheses that carry the parameters of the given effects, then those of every law's effects, which
-        are at their nulls where a hypothesis' own law lacks them.
+        Hypotheses that carry the parameters of the given effects, those of the largest share first, then
+        those of every law's effects; all are at their nulls where a hypothesis' own model lacks them.
     """
     every = every[:hypotheses]
     shares = np.array([one.share for one in every]) / sum(one.share for one in every)
@@ -367,8 +366,13 @@ def mixed_belief(
     if not kept:
         raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
     parts = [(maps, one.likelihood.prior.slider.effects) for one, _, maps, _ in kept]
+    models = [
+        {"effects": [effect.name for effect in effects], "hypotheses": len(maps)} for maps, effects in parts
+    ]
+    several = len({one.given for one, *_ in kept}) > 1
     probability = [share * weights for _, share, _, weights in kept]
     total = sum(share for _, share, _, _ in kept)
+    given = tuple(dict.fromkeys(effect for one, *_ in kept for effect in one.given))
     of_laws = [e for e in LIBRARY if e not in given and any(e in effects for _, effects in parts)]
     used = (*given, *of_laws)
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
@@ -389,6 +393,7 @@ def mixed_belief(
         settings={
             **trusted(every[0].drawn_from),
             **chosen_on,
+            **({RIVALS: models} if several else {}),
             "friction_laws": _by([one.law for one, *_ in kept], [one[1] for one in kept]),
             "structures": _by([one.structure for one, *_ in kept], [one[1] for one in kept]),
         },
@@ -414,8 +419,7 @@ def _by(names: Sequence[str], shares: Sequence[float]) -> dict[str, float]:
 
 def _with_parameters(maps: Maps, effects: Sequence[Effect], used: Sequence[Effect]) -> Maps:
     """The maps with parameters of all used effects, at their nulls for effects that the maps lack."""
-    own = np.split(maps.effects, np.cumsum([len(effect.parameters) for effect in effects]), axis=1)
-    by_effect = dict(zip(effects, own, strict=False))
+    by_effect = {effect: maps.effects[:, columns_of(effect, effects)] for effect in effects}
     columns = [by_effect.get(effect, np.repeat(effect.nulls[None], len(maps), axis=0)) for effect in used]
     return Maps(
         maps.mass, maps.mu, maps.mu_finger, np.concatenate([np.zeros((len(maps), 0)), *columns], axis=1)

@@ -117,15 +117,22 @@ def shifts_of_ends(run: ExplorationRun, hidden: HiddenEffectsConfig) -> list[flo
 
 
 def adopted(result: dict[str, Any]) -> list[str]:
-    """Effects of the model at the end."""
-    return [] if result["repair"] is None else list(result["repair"]["effects"])
+    """Effects of the model at the end, with the one that may be there instead of the last."""
+    if result["repair"] is None:
+        return []
+    rival = result["repair"].get("rival", "")
+    return [*result["repair"]["effects"], *([rival] if rival else [])]
 
 
 def errors_by_adoption(result: dict[str, Any]) -> tuple[float, float] | None:
     """Median error of pushes as a share of their way: before the final effects were adopted, and for the next
     `NEXT` pushes with them; None where either is missing."""
-    effects = set(adopted(result))
-    with_them = [push for push in result["judged"] if effects and effects <= set(push["effects"])]
+    from slipmap.diagrams.systems.diagnosis import has_model
+
+    if not adopted(result):
+        return None
+    model = result["repair"]["effects"], result["repair"].get("rival", "")
+    with_them = [push for push in result["judged"] if has_model(push["effects"], *model)]
     if not with_them:
         return None
     before = [push for push in result["judged"] if push["trial"] < with_them[0]["trial"]]

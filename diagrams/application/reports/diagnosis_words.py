@@ -493,24 +493,27 @@ def repair_headline(repair: Repair, watch: Watch, sizes: Mapping[str, str]) -> s
     added = [name for name in repair.effects if name not in given]
     if not added:
         return ""
-    told = "; ".join(f"{name} ({sizes[name]})" if name in sizes else name for name in added)
+    added += [repair.rival] * bool(repair.rival)
+    between = " or " if repair.rival and len(added) == 2 else "; "
+    told = between.join(f"{name} ({sizes[name]})" if name in sizes else name for name in added)
     return f"The run added {told}. {_fall_of_error(repair, watch)}".rstrip()
 
 
 def _fall_of_error(repair: Repair, watch: Watch) -> str:
     """The error of pushes before the model had its effects, and after; empty where there is only one."""
-    after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
+    from slipmap.diagrams.systems.diagnosis import has_model
+
+    after = [push for push in watch.judged if has_model(push.effects, repair.effects, repair.rival)]
     before = [push for push in watch.judged if push not in after]
     if not (repair.effects and before and after):
         return ""
-    effects = " and ".join(repair.effects)
-    return f"Before, {_errors(before)}; with {effects}, {_errors(after)}."
+    return f"Before, {_errors(before)}; with {repair.model}, {_errors(after)}."
 
 
 def _finding(finding: Finding, *, asks: bool) -> str:
     """What one finding says; `asks` is whether the pushes after it were chosen to find out more."""
     action = "goes on without" if finding.action == "pushes on" and not asks else finding.action
-    did = _DID[action].format(effects=" and ".join(finding.effects))
+    did = _DID[action].format(effects=finding.model)
     from slipmap.diagrams.systems.diagnosis import CLOSE, FAILED, TRIED
 
     looked = "" if finding.verdict in (FAILED, TRIED, CLOSE) else ", diagnosis"

@@ -28,6 +28,9 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
 
+_STEPS_TO_CHOOSE = 2
+"""Iterations after which one of several starts is followed."""
+
 MODES = 20
 """Coordinates per map; finer ones cannot be distinguished from noise and cost time."""
 
@@ -200,6 +203,30 @@ class Fitter:
             with suppress(RolloutError, np.linalg.LinAlgError):
                 found.append(_fitted(effects, likelihood, [one], mean, iterations, worth=worth))
         return min(found, key=lambda fitted: fitted.cost, default=None)
+
+    def from_maps_of(self, near: Fitted, effect: Effect, starts: FloatArray, worth: float) -> Fitted:
+        """Fit the model with one effect, starting from the maps of a fit with another one.
+
+        Args:
+            starts: (G, P) parameters to start from; the one that leads farthest in a few steps is followed.
+            worth: cost above which a fit is useless, and may be given up before its end.
+
+        Raises:
+            RolloutError: no start can be computed.
+        """
+        prior = self.prior((effect,))
+        likelihood = CorrelatedLikelihood(prior, self.measured, near.likelihood.error)
+        tried = np.concatenate([effect.with_far_starts(values) for values in starts])
+        z = np.concatenate(
+            [np.tile(near.z[: prior.plain], (len(tried), 1)), prior.effect_coordinates(tried)], axis=1
+        )
+        shaping = np.concatenate([np.zeros(prior.plain, dtype=bool), ~effect.amplitudes])
+        mean = np.where(shaping, z, 0.0)
+        offsets = np.repeat(near.offsets[None], len(z), axis=0)
+        first = fit(likelihood, z, prior_mean=mean, offsets=offsets, iterations=_STEPS_TO_CHOOSE)
+        k = int(np.argmin(first.cost))
+        start = [(first.z[k], first.offsets[k])]
+        return _fitted((effect,), likelihood, start, mean[k], iterations=30, worth=worth)
 
     def scene(self, base: Fitted) -> Scene:
         """The scene from which effects derive their starting values, given a fit without effects."""

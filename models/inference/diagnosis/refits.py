@@ -105,6 +105,9 @@ def refit_candidates(
         found = {name: fit for name, fit in found.items() if name in ahead or name == favourite}
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
+    if not quick:
+        found = _from_maps_of(coarse, best, found, effects, scene, _ceiling(alone.cost, best.cost))
+        best = min(found.values(), key=lambda fitted: fitted.cost)
     error = estimate_errors(best, fitter.noise)
     ceiling = _ceiling(alone.cost, best.cost)
     close = [
@@ -123,6 +126,38 @@ def refit_candidates(
     fits = {name: fit for (name, _), fit in zip(close, refitted, strict=True) if fit is not None}
     progress(len(named) + 2, len(named) + 2)
     return Refits(plain, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
+
+
+def _from_maps_of(
+    fitter: Fitter,
+    best: Fitted,
+    found: dict[str, Fitted],
+    effects: Sequence[Effect],
+    scene: Scene,
+    worth: float,
+) -> dict[str, Fitted]:
+    """Candidates refitted once more from the maps of the best refit, where that explains the pushes better.
+
+    Maps that were bent to do without any effect may lead the search for the right one into a valley from
+    which an effect that acts much like it was spared.
+
+    Args:
+        found: refits so far, by name.
+        worth: cost above which a refit is useless.
+    """
+    tried = [effect for effect in effects if effect not in best.effects]
+
+    def again(effect: Effect) -> Fitted | None:
+        with suppress(RolloutError, np.linalg.LinAlgError):
+            return fitter.from_maps_of(best, effect, effect.start_values(scene), worth)
+        return None
+
+    better = dict(found)
+    for effect, fitted in zip(tried, side_by_side([partial(again, effect) for effect in tried]), strict=True):
+        known = found.get(effect.name)
+        if fitted is not None and (known is None or fitted.cost < known.cost):
+            better[effect.name] = fitted
+    return better
 
 
 def _ceiling(base: float, best: float) -> float:

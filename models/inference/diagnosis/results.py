@@ -84,6 +84,11 @@ class CandidateResult:
     in_set: bool = False  # whether it is in the answer
     parameters: tuple[ParameterEstimate, ...] = ()  # where it was refitted
 
+    @property
+    def explains(self) -> bool:
+        """Whether it was screened for what it leaves, and nothing shows that it does not explain the data."""
+        return self.remaining_gain is not None and self.rejected_by is None
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(Outcome):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from driven_block import DrivenBlock
 
 from slipmap.diagrams.systems import diagnosis
-from slipmap.diagrams.systems.diagnosis import PERIOD, Diagnosis, Repair
+from slipmap.diagrams.systems.diagnosis import PERIOD, Diagnosis, Repair, has_model
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import procedure
@@ -39,6 +40,7 @@ class Robot(DrivenBlock):
     """
 
     at_end = True
+    gains: ClassVar[dict[str, float]] = {}  # of the effects that explain the pushes
 
     def __init__(self, monkeypatch, *answers, without: float = 0.03, **given) -> None:
         self.asked: list[int] = []
@@ -58,7 +60,12 @@ class Robot(DrivenBlock):
                 rivals = [(one,) for one in named] if verdict == "ambiguous" else [named] if named else []
             rivals = [SimpleNamespace(effects=tuple(rival)) for rival in rivals]
             gains = [("force_latency", 0.01), ("table_tilt", p[0] if p else 0.01), ("tether", 1.0)]
-            candidates = [SimpleNamespace(name=name, p_value=chance) for name, chance in gains]
+            candidates = [
+                SimpleNamespace(
+                    name=name, p_value=chance, fitted_gain=self.gains.get(name), explains=name in self.gains
+                )
+                for name, chance in gains
+            ]
             return SimpleNamespace(
                 verdict=verdict, rivals=rivals, sentence=f"{verdict}.", candidates=candidates
             )
@@ -74,7 +81,11 @@ class Robot(DrivenBlock):
         monkeypatch.setattr(
             diagnosis,
             "learning",
-            lambda effects: lambda trials, seed: SimpleNamespace(belief=(effects, len(trials))),
+            lambda effects, rival: (
+                lambda trials, seed: SimpleNamespace(
+                    belief=((*effects, f"or {rival}") if rival else effects, len(trials))
+                )
+            ),
         )
         self.compared: list[tuple[str, ...]] = []
         self.errors: dict[int, float] = {}
@@ -148,6 +159,42 @@ def test_a_named_effect_is_adopted_and_put_to_the_test(monkeypatch, seen):
 def test_of_effects_that_cannot_be_told_apart_the_simplest_is_adopted(monkeypatch):
     repair = Robot(monkeypatch, ("ambiguous", ("tether", "table_tilt"))).push(5, alarm=True)
     assert repair.effects == ("table_tilt",)
+
+
+def test_what_explains_the_pushes_better_is_the_rival_of_the_simplest(monkeypatch):
+    """Near the middle of a table a tether acts like a tilt, so hypotheses have one or the other."""
+    answers = [("ambiguous", ("tether", "table_tilt")), ("effect", ("table_tilt",)), ("effect", ("tether",))]
+    robot = Robot(monkeypatch, *answers)
+    robot.gains = {"table_tilt": 38.0, "tether": 42.0}
+    repair = robot.push(5, alarm=True)
+    assert (repair.effects, robot.read("rival")) == (("table_tilt",), "tether")
+    assert repair.model == "table_tilt or tether"
+    assert repair.findings[-1].sentence.endswith("so the model has one or the other.")
+    assert Repair.of_run(json.loads(json.dumps(repair.to_run()))).rival == "tether"
+    # It stays one while it explains the pushes, though the simplest now does so as well.
+    robot.gains = {"table_tilt": 42.0, "tether": 42.0}
+    repair = robot.push(6, alarm=True)
+    assert (repair.effects, repair.rival, actions(repair)) == (("table_tilt",), "tether", ["adopts", "keeps"])
+    # The test of the next pushes is one of both.
+    robot.push(7)
+    assert set(robot.compared) == {("table_tilt", "or tether"), ()}
+    robot.gains = {"tether": 80.0}
+    repair = robot.push(8, alarm=True)
+    assert (repair.effects, repair.rival, repair.findings[-1].action) == (("tether",), "", "adopts")
+
+
+def test_an_effect_that_explains_less_is_no_rival(monkeypatch):
+    robot = Robot(monkeypatch, ("ambiguous", ("tether", "table_tilt")))
+    robot.gains = {"table_tilt": 38.0, "tether": 37.0}
+    assert robot.push(5, alarm=True).rival == ""
+
+
+def test_a_model_with_a_rival_has_one_or_the_other():
+    model = (("viscous_friction", "table_tilt"), "tether")
+    assert has_model(("tether", "viscous_friction"), *model)
+    assert has_model(("viscous_friction", "table_tilt"), *model)
+    assert not has_model(("tether",), *model) and not has_model(("viscous_friction",), *model)
+    assert not has_model((), ("table_tilt",), "") and has_model((), (), "")
 
 
 def test_few_pushes_are_not_diagnosed_but_more_are_made(monkeypatch):

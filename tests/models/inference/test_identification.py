@@ -223,7 +223,7 @@ def test_an_interval_is_as_wide_as_the_fits_allow_where_hypotheses_agree(recorde
     observations = [o for o in observe_all(recorded.dataset) if o.role == "fit"]
     dataset, quiet = recorded.dataset, lambda *_: None
     (one,) = explain(dataset, observations, PriorSettings(), quiet, plain_only=True)
-    belief = mixed_belief(dataset, [one], (), 20, 0, quiet)
+    belief = mixed_belief(dataset, [one], 20, 0, quiet)
     first = (getattr(belief.maps, name)[:1] for name in ("mass", "mu", "mu_finger"))
     maps = Maps(*(np.repeat(rows, 20, axis=0) for rows in first))
     alike = replace(belief, maps=maps, probability=np.full(20, 0.05))

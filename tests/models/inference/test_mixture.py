@@ -111,7 +111,7 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(
     best = max(every, key=lambda one: one.log_evidence)
     (same,) = [one for one in chosen if (one.law, one.structure) == (best.law, best.structure)]
     assert same.best.cost[0] == pytest.approx(best.best.cost[0], rel=0.05)
-    belief = mixed_belief(leaning, chosen, (), 4, 0, lambda *_: None)
+    belief = mixed_belief(leaning, chosen, 4, 0, lambda *_: None)
     assert belief.settings["laws_chosen_on"] == 2
 
     # What cannot be fitted to all pushes is left out.

@@ -30,12 +30,17 @@ from slipmap.models.physics.rollout import RolloutError
 )
 def test_an_effect_clear_of_its_zero_is_shown_however_wide_its_interval(value: float, shown: bool) -> None:
     """A tilt that keeps three quarters of its prior's width, with an interval that holds zero or not."""
-    effects = effects_named(["table_tilt"])
+    (effect,) = effects_named(["table_tilt"])
     values = np.array([[value, 0.0], [value, 0.0]])
-    belief = SimpleNamespace(maps=SimpleNamespace(effects=values), probability=np.array([0.5, 0.5]))
-    prior = SimpleNamespace(size=2, plain=0, effect_deviations=lambda hessian: np.array([0.003, 0.003]))
+    belief = SimpleNamespace(parameters_of=lambda name: (values, np.array([0.5, 0.5])))
+    prior = SimpleNamespace(
+        size=2,
+        plain=0,
+        slider=SimpleNamespace(effects=(effect,)),
+        effect_deviations=lambda hessian: np.array([0.003, 0.003]),
+    )
     information = SimpleNamespace(hessian=[0.8 * np.eye(2)])
-    found = effect_quantities(belief, effects, SimpleNamespace(prior=prior), information)
+    found = effect_quantities(belief, effect, SimpleNamespace(prior=prior), information)
     assert [quantity.shown for quantity in found] == [shown, False]
     assert not shown or found[0].reason.startswith("not 0, where the effect vanishes")
 
