@@ -107,6 +107,8 @@ def _found(found: Finding, belief: Belief | None, *, asks: bool) -> tuple[str, s
         short = alone and sizes and len(f"{did}: {sizes[0]}") <= _HEADING
         did = f"{did}: {sizes[0] if short else found.model}"
     told = f"{', '.join(sizes)}. " if sizes else ""
+    if found.rival:
+        told = "Pushes so far fit either of them. "
     if found.telling and asks:
         return did, f"The next push tells {found.telling}."
     if found.action == "adopts":

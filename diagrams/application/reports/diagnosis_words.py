@@ -493,9 +493,11 @@ def repair_headline(repair: Repair, watch: Watch, sizes: Mapping[str, str]) -> s
     added = [name for name in repair.effects if name not in given]
     if not added:
         return ""
-    added += [repair.rival] * bool(repair.rival)
-    between = " or " if repair.rival and len(added) == 2 else "; "
-    told = between.join(f"{name} ({sizes[name]})" if name in sizes else name for name in added)
+
+    def sized(name: str) -> str:
+        return f"{name} ({sizes[name]})" if name in sizes else name
+
+    told = "; ".join(map(sized, added)) + (f" or {sized(repair.rival)}" if repair.rival else "")
     return f"The run added {told}. {_fall_of_error(repair, watch)}".rstrip()
 
 

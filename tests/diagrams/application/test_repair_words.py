@@ -50,6 +50,21 @@ def test_the_headline_names_what_was_added_its_size_and_the_fall_of_the_error():
     assert repair_headline(Repair(6, ("tether",), 8), seen, sizes) == ""
 
 
+def test_an_effect_and_its_rival_are_told_as_one_or_the_other():
+    sizes = {"table_tilt": "tilt 8.0°", "tether": "a pull of 2 N"}
+    adopted = Finding(5, "effect", "The model lacks table_tilt.", TILT, "adopts", rival="tether")
+    repair = Repair(5, TILT, 8, (adopted,), rival="tether")
+    # Once one is ruled out, the model that learned has the other alone.
+    seen = watch((0.024, ()), (0.004, (*TILT, "tether")), (0.006, ("tether",)), (0.005, TILT))
+    first, second = repair_story(repair, seen)
+    assert first.endswith("From then on, the model included table_tilt or tether.")
+    assert "with table_tilt or tether, 3 pushes ended 5.0 mm off" in second
+    headline = repair_headline(repair, seen, sizes)
+    assert headline.startswith(
+        "The run added table_tilt (tilt 8.0°) or tether (a pull of 2 N). Before, 1 push"
+    )
+
+
 def test_the_report_of_a_run_is_told_what_the_terminal_says():
     repair, seen = Repair(6, TILT, 8), watch((0.024, ()), (0.004, TILT))
     slopes = {

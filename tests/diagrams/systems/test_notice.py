@@ -89,6 +89,13 @@ def test_effects_are_given_by_name_and_by_size_once_it_is_known(verdict, action,
         assert (said.heading, said.reason) == wanted
 
 
+def test_an_effect_and_its_rival_are_both_named():
+    for belief in (None, tilted()):
+        said = words_of(EXPLORING, watch(USUAL), repaired("effect", "adopts", TILT, rival="tether"), belief)
+        assert (said.heading, len(said.heading) <= 33) == ("Added: table_tilt or tether", True)
+        assert said.reason == "Pushes so far fit either of them. The next pushes test it."
+
+
 @pytest.mark.parametrize(
     ("action", "heading"), [("drops", "Dropped again"), ("goes on without", "Nothing to add to the model")]
 )

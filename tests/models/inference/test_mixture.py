@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects import LIBRARY
+from slipmap.models.effects.effect import columns_of
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.refits import find_effects
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import beside_slope, effect_prior
 from slipmap.models.inference.gauss_newton import fit
@@ -29,7 +32,7 @@ from slipmap.models.inference.mixture import (
 )
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prior import STRUCTURES
-from slipmap.models.measurements import PushDataset, read_dataset
+from slipmap.models.measurements import DatasetError, PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
 from slipmap.planners.exploration import candidate_pushes
@@ -208,6 +211,55 @@ def test_a_slope_shifts_load_where_the_height_of_the_finger_is_stated(recorded) 
 
     assert sorted(stated) == ["load_transfer", "table_tilt"] and holds(stated["table_tilt"])
     assert sorted(unstated) == ["table_tilt"] and not holds(unstated["table_tilt"])
+
+
+def test_hypotheses_have_effects_or_their_rivals(recorded, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Three short pushes on a slope hardly tell it from a tether; ten rule out that nothing is there."""
+    sloping = replace(made_by(recorded, values={"table_tilt": tuple(SLOPE.values())}, heldout=0), mass=0.6)
+    learned = partial(identify, hypotheses=12, friction_laws=False)
+    few = learned(sloping.with_fit_pushes(3), ["table_tilt"], rivals=[["tether"]])
+    belief, tilt, tether = few.belief, EFFECTS["table_tilt"], EFFECTS["tether"]
+    assert {effect.name for effect in belief.effects} == {"table_tilt", "tether"}
+    columns = [belief.maps.effects[:, columns_of(effect, belief.effects)] for effect in (tilt, tether)]
+    has = [(own != effect.nulls).any(axis=1) for own, effect in zip(columns, (tilt, tether), strict=True)]
+    assert np.all(has[0] != has[1]) and 0 < has[0].sum() < 12
+    assert belief.settings["structures"].keys() <= STRUCTURES.keys()
+    # What is said of an effect is said of the hypotheses that have it.
+    belief.save(tmp_path / "belief.npz")
+    for one in (belief, Belief.load(tmp_path / "belief.npz")):
+        values, probability = one.parameters_of("table_tilt")
+        assert np.array_equal(values, columns[0][has[0]]) and probability.sum() == pytest.approx(1.0)
+    slope = few.effect_estimates["table_tilt"]
+    assert slope["down_x"]["low"] <= np.median(values[:, 0]) <= slope["down_x"]["high"]
+    assert sorted(few.effect_estimates) == ["table_tilt", "tether"]
+    assert few.errors("fit").max() < 1e-3
+
+    alone = learned(sloping, ["table_tilt"])
+    ruled_out = learned(sloping, ["table_tilt"], rivals=[[]])
+    assert np.array_equal(ruled_out.belief.maps.effects, alone.belief.maps.effects)
+    assert [str(one) for one in ruled_out.quantities] == [str(one) for one in alone.quantities]
+    assert "rivals" not in ruled_out.belief.settings
+    # The right one takes over, also where it is the rival.
+    taken_over = learned(sloping, [], rivals=[["table_tilt"]])
+    assert [effect.name for effect in taken_over.belief.effects] == ["table_tilt"]
+
+
+def test_a_rival_that_cannot_be_fitted_is_left_out(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    dataset = made_by(recorded, heldout=0).with_fit_pushes(2)
+    own = find_effects
+
+    def fails(dataset, observations, effects, *rest):  # type: ignore[no-untyped-def]
+        if EFFECTS["tether"] in effects:
+            raise DatasetError("it cannot be fitted")
+        return own(dataset, observations, effects, *rest)
+
+    monkeypatch.setattr("slipmap.models.inference.diagnosis.refits.find_effects", fails)
+    found = identify(dataset, ["table_tilt"], hypotheses=2, friction_laws=False, rivals=[["tether"]])
+    assert [effect.name for effect in found.belief.effects] == ["table_tilt"]
+    with pytest.raises(DatasetError, match="cannot be fitted"):
+        identify(dataset, ["tether"], hypotheses=2, rivals=[["table_tilt"]])
+    with pytest.raises(ValueError, match="does not support effects"):
+        identify(dataset, method="paper", rivals=[["tether"]])
 
 
 def test_two_datasets_on_a_slope_shift_load_like_one(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
