@@ -278,7 +278,7 @@ class Diagnosis(PythonSystem):
             if not named and set(repair.effects) - set(self._given) in sets:  # still in the running
                 named = tuple(name for name in repair.effects if name not in self._given)
         effects, question = (*self._given, *named), found.question
-        rival = self._rival_of(named, found.explaining, repair)
+        rival = self._rival_of(named, found.explaining)
         is_open = found.verdict == "undecided" and found.p <= self._settings.chance
         if found.verdict == FAILED:
             effects, rival, question = repair.effects, repair.rival, None
@@ -301,23 +301,23 @@ class Diagnosis(PythonSystem):
         telling = "" if question is None else question.words
         sentence = found.sentence
         if named and rival:
-            sentence += f" {rival} explains these pushes no worse, so the model has one or the other."
+            sentence += (
+                f" {rival} explains these pushes better than {named[0]}, but is less simple: the model has"
+                " one or the other."
+            )
         finding = Finding(count, found.verdict, sentence, effects, action, telling, rival)
         after = _after(repair, finding, question)
         if action == "adopts":
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
         return self._pushing_on(after) if is_open else after
 
-    def _rival_of(self, named: Sequence[str], explaining: Mapping[str, float], repair: Repair) -> str:
-        """The rival of a single effect: one that explains the pushes better, or the present one."""
+    def _rival_of(self, named: Sequence[str], explaining: Mapping[str, float]) -> str:
+        """The rival of a single effect: the one that explains the pushes better, if there is one."""
         others = {name: gain for name, gain in explaining.items() if name not in self._given}
         if len(named) != 1 or named[0] not in others:
             return ""
-        best = max(others, key=lambda name: others[name])
-        if best != named[0]:
-            return best
-        present = {*repair.effects, repair.rival} - {*self._given, named[0], ""}
-        return next((name for name in others if name in present), "")
+        best = max(others, key=lambda name: (others[name], name == named[0]))
+        return "" if best == named[0] else best
 
     def _tried(self, repair: Repair, count: int, errors: Sequence[tuple[float, float]]) -> Repair:
         """The repair after effects were tested on pushes.

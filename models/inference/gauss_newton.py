@@ -207,11 +207,23 @@ def _damped_step(
     equations: NormalEquations, k: int, from_mean: FloatArray, damping: float, longest: float = 1.5
 ) -> FloatArray:
     """(d,) step of hypothesis k; no coordinate changes by more than `longest` standard deviations of the
-    prior. Zero if it overflows."""
-    system = equations.hessian[k].copy()
-    diagonal = np.diagonal(system) + 1.0
-    np.fill_diagonal(system, diagonal * (1.0 + damping))
-    factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
+    prior. Zero if it overflows. Damped further where derivatives are so large that, rounded, the system is
+    not positive definite.
+
+    Raises:
+        LinAlgError: no damping makes it so.
+    """
+    diagonal = np.diagonal(equations.hessian[k]) + 1.0
+    while True:
+        system = equations.hessian[k].copy()
+        np.fill_diagonal(system, diagonal * (1.0 + damping))
+        try:
+            factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
+            break
+        except np.linalg.LinAlgError:
+            if damping >= _DAMPING[1]:
+                raise
+            damping = max(100.0 * damping, _DAMPING[0])
     step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
     if not np.isfinite(step).all():
         return np.zeros_like(step)

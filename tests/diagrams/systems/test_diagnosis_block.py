@@ -163,24 +163,41 @@ def test_of_effects_that_cannot_be_told_apart_the_simplest_is_adopted(monkeypatc
 
 def test_what_explains_the_pushes_better_is_the_rival_of_the_simplest(monkeypatch):
     """Near the middle of a table a tether acts like a tilt, so hypotheses have one or the other."""
-    answers = [("ambiguous", ("tether", "table_tilt")), ("effect", ("table_tilt",)), ("effect", ("tether",))]
-    robot = Robot(monkeypatch, *answers)
+    both = ("ambiguous", ("tether", "table_tilt"))
+    robot = Robot(monkeypatch, both, both, ("effect", ("tether",)))
     robot.gains = {"table_tilt": 38.0, "tether": 42.0}
     repair = robot.push(5, alarm=True)
     assert (repair.effects, robot.read("rival")) == (("table_tilt",), "tether")
     assert repair.model == "table_tilt or tether"
-    assert repair.findings[-1].sentence.endswith("so the model has one or the other.")
+    assert repair.findings[-1].sentence.endswith("but is less simple: the model has one or the other.")
     assert Repair.of_run(json.loads(json.dumps(repair.to_run()))).rival == "tether"
-    # It stays one while it explains the pushes, though the simplest now does so as well.
-    robot.gains = {"table_tilt": 42.0, "tether": 42.0}
-    repair = robot.push(6, alarm=True)
-    assert (repair.effects, repair.rival, actions(repair)) == (("table_tilt",), "tether", ["adopts", "keeps"])
     # The test of the next pushes is one of both.
-    robot.push(7)
-    assert set(robot.compared) == {("table_tilt", "or tether"), ()}
-    robot.gains = {"tether": 80.0}
+    robot.push(6)
+    assert robot.push(7).rival == "tether" and set(robot.compared) == {("table_tilt", "or tether"), ()}
+    robot.gains = {"table_tilt": 80.0, "tether": 80.0}
     repair = robot.push(8, alarm=True)
+    assert (repair.effects, repair.rival, repair.findings[-1].action) == (("table_tilt",), "", "keeps")
+    robot.gains = {"table_tilt": 80.0, "tether": 120.0}
+    repair = robot.push(9, alarm=True)
     assert (repair.effects, repair.rival, repair.findings[-1].action) == (("tether",), "", "adopts")
+
+
+def test_a_rival_stays_while_the_answer_is_open(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), ("undecided", ()), ValueError("no"))
+    robot.gains = {"table_tilt": 38.0, "tether": 42.0}
+    robot.push(5, alarm=True)
+    assert robot.push(6, alarm=True).rival == "tether"
+    robot.push(7)
+    assert robot.push(8, alarm=True).rival == "tether"  # that diagnosis failed
+    assert robot.read("repair").findings[-1].verdict == "failed"
+
+
+def test_a_rival_is_dropped_with_its_effect(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), without=0.0)
+    robot.gains = {"table_tilt": 38.0, "tether": 42.0}
+    for count in (5, 6, 7):
+        repair = robot.push(count, error=0.01, alarm=count == 5)
+    assert (repair.effects, repair.rival, actions(repair)) == ((), "", ["adopts", "drops"])
 
 
 def test_an_effect_that_explains_less_is_no_rival(monkeypatch):

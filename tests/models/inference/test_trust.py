@@ -1,6 +1,7 @@
 """How far off the model is held to be, against a density in closed form and pushes with a known error."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -142,6 +143,19 @@ def test_a_step_gives_what_it_promises_where_everything_is_linear(damping, bound
         return linear.linearise(z, shift, np.ones(1), one).cost.sum() + 0.5 * (z**2).sum()
 
     assert promised[0] == pytest.approx(cost(z, shift) - cost(z + step, moved), rel=1e-9)
+
+
+def test_a_system_that_rounding_makes_indefinite_is_damped_further():
+    """Derivatives of 1e10: what the prior adds is lost, and an eigenvalue is negative."""
+    along = 1e10 * np.array([1.0, 1.0, 1.0])
+    hessian = np.outer(along, along) - 1e5 * np.eye(3)
+    gradient = along * 1e-3
+    equations = SimpleNamespace(hessian=hessian[None], gradient=gradient[None])
+    step = _damped_step(equations, 0, np.zeros(3), 1e-20)
+    assert np.isfinite(step).all() and step @ gradient < 0.0
+    hopeless = SimpleNamespace(hessian=np.array([[[1.0, 1e20], [1e20, 1.0]]]), gradient=np.ones((1, 2)))
+    with pytest.raises(np.linalg.LinAlgError):
+        _damped_step(hopeless, 0, np.zeros(2), 0.1)
 
 
 def test_a_bent_valley_is_followed_to_its_end():
