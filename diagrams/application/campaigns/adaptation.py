@@ -146,7 +146,8 @@ def errors_by_adoption(result: dict[str, Any]) -> tuple[float, float] | None:
 
 
 def answer(hidden: str, result: dict[str, Any]) -> str:
-    """How the robot dealt with the hidden effect: `none` adopted, `named`, `equivalent`, or `other`."""
+    """How the robot dealt with the hidden effect: `none` adopted, `named`, also where the model has it or a
+    rival, `equivalent`, or `other`."""
     effects = adopted(result)
     if not effects:
         return "none"
@@ -212,7 +213,8 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
             experiments.TableText(title, columns, delivered),
             experiments.TableText("How trials ended", ("hidden", *ROBOTS), fates),
         ],
-        f"Another effect counts as equivalent if it lowers the error of the next {NEXT} pushes to {FELL:.0%}"
+        "An effect counts as named also where the model has it or a rival."
+        f" Another effect counts as equivalent if it lowers the error of the next {NEXT} pushes to {FELL:.0%}"
         f" or less; where nothing is hidden, `none` is right. An effect is needed if the first {FIRST} pushes"
         f" end {1e3 * MOVES:.0f} mm or more elsewhere with it (median, in the plant), and in time within"
         f" {SOON} pushes. Only pushes towards the edge are counted.",

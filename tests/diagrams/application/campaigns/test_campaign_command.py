@@ -287,6 +287,22 @@ def test_what_a_robot_that_adapts_adopts(tmp_path: Path, capsys: pytest.CaptureF
     assert "3 fell" in _lines(capsys.readouterr().out, "tilt")[-1]
 
 
+def test_an_effect_or_its_rival_counts_as_both() -> None:
+    """Hypotheses had one or the other, then the rival alone, once pushes ruled out the first."""
+    pushes = [
+        {"trial": trial, "error": error, "moved": 0.1, "effects": effects}
+        for trial, (error, effects) in enumerate(
+            [(0.02, []), (0.03, []), (0.004, ["table_tilt", "tether"]), (0.002, ["tether"])]
+        )
+    ]
+    repair = {"effects": ["table_tilt"], "rival": "tether"}
+    assert adaptation.adopted({"repair": repair}) == ["table_tilt", "tether"]
+    told = {"repair": repair, "judged": pushes}
+    assert adaptation.answer("tether", told) == adaptation.answer("tilt", told) == "named"
+    assert adaptation.errors_by_adoption(told) == (pytest.approx(0.25), pytest.approx(0.03))
+    assert adaptation.errors_by_adoption(told | {"repair": {"effects": [], "rival": ""}}) is None
+
+
 def test_what_is_hidden_alone(tmp_path: Path) -> None:
     specs = experiment_of("adapt").specs(["book"], 1, 0, "plant")
     assert len(specs) == 2 * len(adaptation.HIDDEN)
