@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from schemas import validator
 
 from slipmap.diagrams.application.command_line import run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
@@ -48,6 +49,8 @@ def test_every_push_is_recorded_and_told(taken):
     assert np.hypot(*off[:2]) < 0.018
     assert np.hypot(*told["grasp"][:2]) > 0.4  # the pins' ends are at the edge
     assert told["grasp"][2] == pytest.approx(taken.plans[-1].grasp.grasp.height / 2)
+    described = validator("pregrasp").iter_errors({"pregrasp": told})
+    assert [error.message for error in described if "pregrasp" in error.path] == []
 
 
 def test_poses_are_told_as_the_belief_corrects_them(taken):
