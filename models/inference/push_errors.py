@@ -33,7 +33,9 @@ class Errors:
     fit_y: float  # for y
     fit_theta: float  # for the angle
     force: float  # root mean square of the force error where the finger presses steadily, N
-    force_share: float  # the same over the root mean square of the measured force
+    # the same over the root mean square of the measured force; NaN if that is zero, as where a cable pulls the
+    # object away from the finger
+    force_share: float
     # root mean square, over all poses and the forces of steady pushing, of the error in standard deviations
     # of the sensor noise; 1 is perfect
     misfit: float
@@ -48,8 +50,9 @@ def errors(
     force, share = np.nan, np.nan
     used = observation.sliding
     if forces is not None and used.any():
-        force = _rms(forces[used] - observation.forces[used])
-        share = force / _rms(observation.forces[used])
+        force, typical = _rms(forces[used] - observation.forces[used]), _rms(observation.forces[used])
+        if typical > 0.0:
+            share = force / typical
     # Rescale a mean of rows to the noise of a single row.
     missing = 1.0 - (noise.of_means(observation.pose_rows) / noise.of_poses) ** 2
     square = ((poses - measured) / noise.of_poses) ** 2 + missing

@@ -93,6 +93,13 @@ def test_forces_are_compared_where_they_count():
     assert found.force_share == pytest.approx(0.2)
 
 
+def test_where_no_force_was_measured_though_the_object_moved_its_share_is_open():
+    """A cable pulls it away from the finger."""
+    observation = observed([[0, 0, 0]], forces=[[0, 0], [0, 0]])
+    found = errors(observation, observation.poses, np.array([[3.0, 4.0], [0.0, 0.0]]), GRID, NOISE)
+    assert found.force == pytest.approx(np.sqrt(12.5)) and np.isnan(found.force_share)
+
+
 def test_an_object_at_rest_errs_by_the_whole_way():
     found = resting_errors(observed([[0.03, 0.04, 0.0]]), GRID, NOISE)
     assert found.final_add == pytest.approx(0.05)
