@@ -33,8 +33,8 @@ class Errors:
     fit_y: float  # for y
     fit_theta: float  # for the angle
     force: float  # root mean square of the force error where the finger presses steadily, N
-    # the same over the root mean square of the measured force; NaN if that is zero, as where a cable pulls the
-    # object away from the finger
+    # the same over the root mean square of the measured force; NaN if that is zero, as where a cable pulls
+    # the object away from the finger
     force_share: float
     # root mean square, over all poses and the forces of steady pushing, of the error in standard deviations
     # of the sensor noise; 1 is perfect

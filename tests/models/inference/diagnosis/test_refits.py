@@ -1,17 +1,22 @@
-"""Refits of the model without effects from the maps of one with."""
+"""Refits of the model with an effect, and without one, from the maps of another refit."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from slipmap.models.inference.diagnosis.refits import Refits, better_base
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.fitting import Fitter
+from slipmap.models.inference.diagnosis.refits import Refits, _from_maps_of, better_base
+from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.observations import observe_all, to_learn_from
 from slipmap.models.physics.rollout import RolloutError
+from tests.models.inference.test_mixture import made_by
+
+FAILURES = [np.linalg.LinAlgError("not positive definite"), RolloutError("diverges")]
 
 
-@pytest.mark.parametrize(
-    "failure", [np.linalg.LinAlgError("not positive definite"), RolloutError("diverges")]
-)
+@pytest.mark.parametrize("failure", FAILURES)
 def test_maps_from_which_no_fit_gets_away_are_no_better(failure):
     """Without the effect, maps that were bent around it may predict so badly that no step can be computed."""
 
@@ -21,3 +26,57 @@ def test_maps_from_which_no_fit_gets_away_are_no_better(failure):
     plain = SimpleNamespace(cost=100.0, likelihood=SimpleNamespace(error=None))
     refits = Refits(plain, {"table_tilt": SimpleNamespace(cost=10.0)}, {"table_tilt": 90.0})
     assert better_base(SimpleNamespace(base=base), refits) is None
+
+
+def test_a_tether_is_found_from_the_maps_of_the_tilt_that_it_looks_like(recorded):
+    """From any of its starts: the one that leads farthest is followed."""
+    tilt, tether = effects_named(["table_tilt", "tether"])
+    truth = np.array([4.0, 0.35, 0.2, 0.2, 0.0, 0.0])
+    dataset = made_by(recorded, values={"tether": tuple(truth)}, heldout=0)
+    observations = to_learn_from(observe_all(dataset))
+    fitter = Fitter(dataset, observations, sensor_noise(dataset))
+    base = fitter.from_scratch(lambda done, total: None)
+    error = base.likelihood.error
+    tilted = fitter.with_effects((tilt,), error, base, np.zeros(2), afresh=True)
+    right = fitter.with_effects((tether,), error, tilted, truth)
+    starts = tether.start_values(fitter.scene(base))
+    found = fitter.from_maps_of(tilted, tether, starts, np.inf)
+    assert found.effects == (tether,)
+    assert found.cost < tilted.cost - 5.0 < base.cost - 100.0
+    assert found.cost < right.cost + 3.0
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_the_better_of_both_refits_is_kept(failure):
+    names = ["table_tilt", "tether", "skate", "viscous_friction", "loose_mass"]
+    effects = {effect.name: effect for effect in effects_named(names)}
+
+    def fitted(name: str, cost: float) -> SimpleNamespace:
+        return SimpleNamespace(effects=(effects[name],), cost=cost)
+
+    found = {"table_tilt": 10.0, "tether": 50.0, "skate": 40.0, "loose_mass": 45.0}
+    again = {"tether": 5.0, "skate": 60.0, "viscous_friction": 70.0}
+    asked = []
+
+    def from_maps_of(near, effect, starts, worth):
+        asked.append(effect.name)
+        assert (near.effects[0].name, worth) == ("table_tilt", 30.0)
+        if effect.name not in again:
+            raise failure
+        return fitted(effect.name, again[effect.name])
+
+    before = {name: fitted(name, cost) for name, cost in found.items()}
+    scene = SimpleNamespace(center=(0.0, 0.0), reach=0.1)
+    fitter = SimpleNamespace(from_maps_of=from_maps_of)
+    for effect in effects.values():
+        effect.start_values = lambda scene: np.zeros((1, 1))
+    try:
+        after = _from_maps_of(fitter, before["table_tilt"], before, list(effects.values()), scene, 30.0)
+    finally:
+        for effect in effects.values():
+            del effect.start_values
+    assert sorted(asked) == sorted(set(names) - {"table_tilt"})
+    assert {name: one.cost for name, one in after.items()} == found | {
+        "tether": 5.0,
+        "viscous_friction": 70.0,
+    }
