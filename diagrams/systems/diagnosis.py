@@ -150,8 +150,8 @@ class Diagnosis(PythonSystem):
     All pushes are diagnosed when the monitor raises an alarm or is in doubt, and every few pushes even if
     none was surprising: a late camera, for example, does not change where objects come to rest. One effect is
     adopted, or two that are needed together; among effects that the pushes cannot tell apart, the simplest.
-    Where another effect explains the pushes better than that, though it is less simple, it is its rival:
-    hypotheses have one or the other. Near the middle of a table, a tether acts like a tilt.
+    Where another effect explains the pushes better than that, it is its rival: hypotheses have one or the
+    other. Near the middle of a table, a tether acts like a tilt.
     Effects of the force sensor are not adopted, as they move nothing. If the verdict is `undecided` and the
     best effect gains more than is likely by chance, the block asks for another push and states which models
     it should tell apart (`Repair.question`). If the effect is unknown, or nothing seems to be missing, the
@@ -231,7 +231,7 @@ class Diagnosis(PythonSystem):
                 )
                 return repair, (repair.trials + 1, begins, _QUESTION)
             if repair.tried is not None and len(trials) >= due:
-                models = ((repair.effects, repair.rival), (self._without(repair), ""))
+                models = ((repair.effects, repair.rival), self._without(repair))
                 task, rest = _errors_of, (repair.tried.pushes, models, self._seed)
             elif self._doubtful(repair, len(trials), watch):
                 if len(trials) < self._settings.fewest:
@@ -289,7 +289,8 @@ class Diagnosis(PythonSystem):
             # Something else is wrong as well, but pushes have shown, or will, whether these effects help.
             effects, rival = repair.effects, repair.rival
         if named:
-            action = "keeps" if set(effects) == set(repair.effects) else "adopts"
+            new_rival = bool(rival) and rival != repair.rival and repair.tried is None
+            action = "keeps" if set(effects) == set(repair.effects) and not new_rival else "adopts"
         elif effects != repair.effects:
             action = "drops"
         elif is_open and count < self._most:
@@ -301,10 +302,7 @@ class Diagnosis(PythonSystem):
         telling = "" if question is None else question.words
         sentence = found.sentence
         if named and rival:
-            sentence += (
-                f" {rival} explains these pushes better than {named[0]}, but is less simple: the model has"
-                " one or the other."
-            )
+            sentence += f" {rival} explains these pushes better than {named[0]}, so the model has either."
         finding = Finding(count, found.verdict, sentence, effects, action, telling, rival)
         after = _after(repair, finding, question)
         if action == "adopts":
@@ -343,7 +341,7 @@ class Diagnosis(PythonSystem):
                 said += " That is close, so the test goes on."
                 verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
             else:
-                effects, rival, action = self._without(repair), "", "drops"
+                (effects, rival), action = self._without(repair), "drops"
         finding = Finding(count, verdict, said, effects, action, rival=rival)
         return replace(_after(repair, finding), wanted=wanted)
 
@@ -354,11 +352,12 @@ class Diagnosis(PythonSystem):
             for one in repair.findings
         )
 
-    def _without(self, repair: Repair) -> tuple[str, ...]:
-        """The model's effects before it adopted those on trial."""
+    def _without(self, repair: Repair) -> tuple[tuple[str, ...], str]:
+        """The model's effects and their rival before it adopted those on trial."""
         assert repair.tried is not None
         place = repair.findings.index(repair.tried)
-        return repair.findings[place - 1].effects if place else self._given
+        before = repair.findings[place - 1] if place else None
+        return (self._given, "") if before is None else (before.effects, before.rival)
 
     def _pushing_on(self, repair: Repair) -> Repair:
         return replace(repair, wanted=min(max(repair.wanted, repair.trials + 1), self._most))

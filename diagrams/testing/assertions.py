@@ -172,7 +172,10 @@ def assert_adopts(run: ExplorationRun, effect: str) -> None:
     _check_run(run, "repair", "an ExplorationRun, such as cell.explore(adapt=True) returns")
     assert run.repair is not None, "the run did not adapt; set adapt=True"
     said = "\n".join(f"push {found.pushes}: {found.verdict}, {found.action}" for found in run.repair.findings)
-    assert effect in run.repair.effects, f"{effect} is not in the model at the end\n{said or 'no diagnosis'}"
+    rival = " (only as a rival)" if effect == run.repair.rival else ""
+    assert effect in run.repair.effects, (
+        f"{effect} is not in the model at the end{rival}\n{said or 'no diagnosis'}"
+    )
     assert effect not in run.repair.given, (
         f"{effect} was in the model from the start, no diagnosis added it\n{said or 'no diagnosis'}"
     )

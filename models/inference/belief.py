@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, columns_of
 from slipmap.models.effects.library import LIBRARY
@@ -33,7 +34,7 @@ END_ERRORS = "end_errors"
 """Key under which a belief stores the `cross_validation.end_errors` of the pushes that taught it."""
 
 RIVALS = "rivals"
-"""Key under which a belief about several models stores their effects and numbers of hypotheses, in order."""
+"""Key under which a belief about rival sets of effects stores the share of each, see `identify`."""
 
 OUTLINE_ERROR = "outline_error"
 """Key under which a belief stores how far its outline may be off, see `Noise.outline`."""
@@ -253,14 +254,25 @@ class Belief:
         Raises:
             ValueError: the model does not have the effect.
         """
-        (effect,) = (effect for effect in self.effects if effect.name == name)
-        has = np.ones(len(self), dtype=bool)
-        if RIVALS in self.settings:
-            has = np.concatenate([
-                np.full(one["hypotheses"], name in one["effects"]) for one in self.settings[RIVALS]
-            ])  # fmt: skip
-        values = self.maps.effects[:, columns_of(effect, self.effects)]
-        return values[has], self.probability[has] / self.probability[has].sum()
+        has = self.has(name)
+        has = has if has.any() else np.ones(len(self), dtype=bool)
+        (own,) = (columns_of(effect, self.effects) for effect in self.effects if effect.name == name)
+        return self.maps.effects[has, own], self.probability[has] / self.probability[has].sum()
+
+    def has(self, name: str) -> NDArray[np.bool_]:
+        """(K,) whether each hypothesis has an effect: where it has rivals, those whose parameters are not all
+        at their nulls; otherwise all.
+
+        Raises:
+            ValueError: the model does not have the effect.
+        """
+        effects = {effect.name: effect for effect in self.effects}
+        if name not in effects:
+            raise ValueError(f"belief: the model has no effect {name!r}, but {', '.join(effects) or 'none'}")
+        if RIVALS not in self.settings:
+            return np.ones(len(self), dtype=bool)
+        values = self.maps.effects[:, columns_of(effects[name], self.effects)]
+        return np.asarray((values != effects[name].nulls).any(axis=1))
 
     def save(self, path: str | Path) -> None:
         """Write to an `.npz` file, atomically.

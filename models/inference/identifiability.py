@@ -188,6 +188,7 @@ def quantities(
     prior = likelihood.prior
     seen = replace(_Seen.of(likelihood), contradicted=contradicted)
     measures = _measures(prior.slider, seen, prior.mass is not None)
+    of_belief = _measures(belief.slider, seen, prior.mass is not None)  # whose maps carry more effects
     variances = [_variances(measures, one) for one in informed]
     shares = np.array([one.share for one in informed])
     left = np.array([after for _, after in variances])
@@ -216,7 +217,7 @@ def quantities(
         )
         alike = measure.share and not measure.given and not bold
         shown = narrowed and not by_loads and not alike
-        values = measure.of(belief.maps)
+        values = of_belief[place].of(belief.maps)
         variance = left[:, place].max() if measure.share else averages[place]
         widened = narrowed or measure.share
         more = _beyond(values, belief.probability, float(variance), measure.log) if widened else 0.0
@@ -354,7 +355,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
 
     def total(maps: Maps) -> FloatArray:
         result, first = load(maps).sum(axis=1), 0
-        for effect in slider.effects:  # their parameters come first in the belief
+        for effect in slider.effects:
             last = first + len(effect.parameters)
             result, first = result * effect.level(seen.place, maps.effects[:, first:last]), last
         return result

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.blas import one_blas_thread
-from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.effect import Effect, EffectError
 from slipmap.models.effects.registry import effects_given
 from slipmap.models.inference.belief import END_ERRORS, OUTLINE_ERROR, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
@@ -91,9 +91,10 @@ def identify(
             explains the pushes.
         friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
             (see `friction_laws`); takes longer. The method `paper` has only the plain one.
-        rivals: other sets of effects that may be there instead of `effects`, weighted in the same way: each
-            hypothesis has one set, and the other effects at their nulls. A rival that cannot be fitted, or
-            explains the pushes far worse, gets none.
+        rivals: other sets of effects that may be there instead of `effects`, such as `[["tether"]]`, weighted
+            in the same way: each hypothesis has one set, and the other effects at their nulls. A rival that
+            cannot be fitted, or explains the pushes far worse, gets none. Shares are in
+            `belief.settings["rivals"]`; what is said of an effect is said of the hypotheses that have it.
 
     Returns:
         The result: `belief` with the masses (K, n), kg, and frictions (K, n) of the n cells in `belief.maps`,
@@ -114,7 +115,7 @@ def identify(
         (4, (1,))
     """
     added = effects_given(effects)
-    others = [effects_given(rival) for rival in rivals]
+    others = _rivals_given(rivals, added)
     check_method(method, [*added, *others])
     check_request(dataset, hypotheses, seed)
     off, _ = beyond_table(dataset, dataset.trials)
@@ -130,17 +131,22 @@ def identify(
     fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
     few = with_fewer_cells(dataset)
 
-    def with_effects(wanted: Sequence[Effect]) -> Fitted | None:
+    parts = 1 + len(others)
+
+    def with_effects(wanted: Sequence[Effect], place: int) -> Fitted | None:
         if not wanted:
             return None
         from slipmap.models.inference.diagnosis.refits import find_effects
 
-        return find_effects(few, fitted, wanted, np.random.default_rng(seed), report)
+        def told(stage: str, done: int, total: int) -> None:
+            report(stage, place * total + done, parts * total)
 
-    found, beside = with_effects(added), []
-    for other in others:
+        return find_effects(few, fitted, wanted, np.random.default_rng(seed), told)
+
+    found, beside = with_effects(added, 0), []
+    for place, other in enumerate(others, 1):
         with suppress(DatasetError):
-            beside.append(with_effects(other))
+            beside.append(with_effects(other, place))
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
         prior_settings=prior_settings, friction_laws=friction_laws, rivals=beside, started=started,
@@ -184,7 +190,7 @@ def learn(
 
     few = with_fewer_cells(dataset)
     fitting = partial(report, "fitting")
-    with of_dataset(dataset.name, given):
+    with of_dataset(dataset.name, () if found is None else found.effects):
         explained = partial(explain, few, fitted, prior_settings, plain_only=not friction_laws)
         every = explained(part_of(fitting, 0, len(models)), found)
         for place, other in enumerate(models[1:], 1):
@@ -192,7 +198,7 @@ def learn(
                 every = [*every, *explained(part_of(fitting, place, len(models)), other)]
         every = shared_out(every) if rivals else every
         share_of_known = None
-        if dataset.known is not None and found is None:
+        if dataset.known is not None and not every[0].given:
             free, own = replace(few, known=None), partial(report, "fitting free maps")
             compared = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
             share_of_known = weighed(compared)[0].share
@@ -210,9 +216,10 @@ def learn(
     )
     if share_of_known == 0.0:  # wrong maps, or an effect that would otherwise bend them
         facts = tuple(replace(fact, shown=False, reason=_REFUTED) for fact in facts)
-    for effect in dict.fromkeys(effect for one in every for effect in one.given):
-        one = next(one for one in every if effect in one.given)
-        facts = (*facts, *effect_quantities(learned, effect, one.likelihood, one.best))
+    for effect in learned.effects:
+        one = next((one for one in every if effect in one.given), None)
+        if one is not None:  # the effects of laws are not told
+            facts = (*facts, *effect_quantities(learned, effect, one.likelihood, one.best))
     shares = belief.settings["friction_laws"]
     return Identification(
         belief, predictions, facts, time.perf_counter() - started, shares, share_of_known, dataset=dataset
@@ -269,6 +276,25 @@ def fit(
     own = about("without effects", progress or silent)
     plain = identify(dataset, hypotheses=hypotheses, seed=seed, progress=own)
     return replace(result, without_effects=plain)
+
+
+def _rivals_given(
+    rivals: Sequence[Sequence[Effect | str]], effects: Sequence[Effect]
+) -> list[tuple[Effect, ...]]:
+    """Sets of effects that differ from `effects` and from each other, checked like these.
+
+    Raises:
+        EffectError: as `effects_given`, or something other than a list of lists.
+    """
+    if isinstance(rivals, str) or not isinstance(rivals, Sequence):
+        raise EffectError(f"rivals must be a list of lists of effects, such as [['tether']], got {rivals!r}")
+    for rival in rivals:
+        if isinstance(rival, str | Effect):
+            raise EffectError(f"each of rivals must be a list of effects: write [[{rival!r}]]")
+    different = {frozenset(effect.name for effect in effects): tuple(effects)}
+    for given in map(effects_given, rivals):
+        different.setdefault(frozenset(effect.name for effect in given), given)
+    return list(different.values())[1:]
 
 
 def check_method(method: str, effects: Sequence[object]) -> None:

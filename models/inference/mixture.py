@@ -347,8 +347,8 @@ def mixed_belief(
         seed: of the draws.
 
     Returns:
-        Hypotheses that carry the parameters of the given effects, those of the largest share first, then
-        those of every law's effects; all are at their nulls where a hypothesis' own model lacks them.
+        Hypotheses that carry the parameters of the given effects, then those of every law's effects; all are
+        at their nulls where a hypothesis' own model lacks them.
     """
     every = every[:hypotheses]
     shares = np.array([one.share for one in every]) / sum(one.share for one in every)
@@ -366,10 +366,7 @@ def mixed_belief(
     if not kept:
         raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
     parts = [(maps, one.likelihood.prior.slider.effects) for one, _, maps, _ in kept]
-    models = [
-        {"effects": [effect.name for effect in effects], "hypotheses": len(maps)} for maps, effects in parts
-    ]
-    several = len({one.given for one, *_ in kept}) > 1
+    models = _by([name_of(one.given) for one, *_ in kept], [one[1] for one in kept])
     probability = [share * weights for _, share, _, weights in kept]
     total = sum(share for _, share, _, _ in kept)
     given = tuple(dict.fromkeys(effect for one, *_ in kept for effect in one.given))
@@ -393,7 +390,7 @@ def mixed_belief(
         settings={
             **trusted(every[0].drawn_from),
             **chosen_on,
-            **({RIVALS: models} if several else {}),
+            **({RIVALS: models} if len(models) > 1 else {}),
             "friction_laws": _by([one.law for one, *_ in kept], [one[1] for one in kept]),
             "structures": _by([one.structure for one, *_ in kept], [one[1] for one in kept]),
         },

@@ -357,13 +357,16 @@ def drawn_ends(belief: Belief, observations: Sequence[Observation], noise: Senso
 
 def uniform_maps(belief: Belief) -> Maps:
     """Maps of the uniform baseline: the belief's mean mass spread evenly, one friction coefficient, and
-    its mean finger friction and effects."""
+    its mean finger friction and effects; of rival effects, those of the first hypothesis."""
     n = len(belief.grid)
     p = belief.probability
     mass = p @ belief.maps.mass.sum(axis=1)
     load = p @ (belief.maps.mass * belief.maps.mu).sum(axis=1)
     finger = p @ belief.maps.mu_finger
-    effects = p @ belief.maps.effects
+    has = np.array([belief.has(effect.name) for effect in belief.effects]).reshape(-1, len(belief))
+    alike = (has == has[:, :1]).all(axis=0)
+    shares = p if alike.all() else np.where(alike, p, 0.0) / p[alike].sum()
+    effects = shares @ belief.maps.effects
     return Maps(np.full((1, n), mass / n), np.full((1, n), load / mass), np.array([finger]), effects[None])
 
 

@@ -138,8 +138,8 @@ def _from_maps_of(
 ) -> dict[str, Fitted]:
     """Candidates refitted once more from the maps of the best refit, where that explains the pushes better.
 
-    Maps that were bent to do without any effect may lead the search for the right one into a valley from
-    which an effect that acts much like it was spared.
+    Maps that were bent to do without any effect may lead the search for the right one into a valley, and
+    that for an effect that acts much like it past this valley.
 
     Args:
         found: refits so far, by name.

@@ -169,7 +169,9 @@ def test_what_explains_the_pushes_better_is_the_rival_of_the_simplest(monkeypatc
     repair = robot.push(5, alarm=True)
     assert (repair.effects, robot.read("rival")) == (("table_tilt",), "tether")
     assert repair.model == "table_tilt or tether"
-    assert repair.findings[-1].sentence.endswith("but is less simple: the model has one or the other.")
+    assert repair.findings[-1].sentence.endswith(
+        "tether explains these pushes better than table_tilt, so the model has either."
+    )
     assert Repair.of_run(json.loads(json.dumps(repair.to_run()))).rival == "tether"
     # The test of the next pushes is one of both.
     robot.push(6)
@@ -180,6 +182,24 @@ def test_what_explains_the_pushes_better_is_the_rival_of_the_simplest(monkeypatc
     robot.gains = {"table_tilt": 80.0, "tether": 120.0}
     repair = robot.push(9, alarm=True)
     assert (repair.effects, repair.rival, repair.findings[-1].action) == (("tether",), "", "adopts")
+
+
+def test_a_new_rival_is_on_trial_and_what_was_there_before_comes_back_with_its_own(monkeypatch):
+    tilt = ("effect", ("table_tilt",))
+    robot = Robot(monkeypatch, tilt, tilt, ("effect", ("tether",)))
+    for count in (5, 6, 7):
+        robot.push(count, alarm=count == 5)
+    robot.gains = {"table_tilt": 38.0, "tether": 42.0}
+    repair = robot.push(8, alarm=True)
+    assert (repair.effects, repair.rival, repair.findings[-1].action) == (("table_tilt",), "tether", "adopts")
+    for count in (9, 10, 11, 12):
+        robot.push(count)
+    assert set(robot.compared[-4:]) == {("table_tilt", "or tether"), ("table_tilt",)}
+    robot.gains = {}
+    assert robot.push(13, alarm=True).effects == ("tether",)
+    for count in (14, 15):
+        repair = robot.push(count, error=0.1)
+    assert (repair.effects, repair.rival, repair.findings[-1].action) == (("table_tilt",), "tether", "drops")
 
 
 def test_a_rival_stays_while_the_answer_is_open(monkeypatch):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slipmap.models.effects import LIBRARY
+from slipmap.models.effects import LIBRARY, EffectError
 from slipmap.models.effects.effect import columns_of
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
@@ -31,6 +31,7 @@ from slipmap.models.inference.mixture import (
     shared_out,
 )
 from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.prediction import uniform_maps
 from slipmap.models.inference.prior import STRUCTURES
 from slipmap.models.measurements import DatasetError, PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
@@ -223,12 +224,21 @@ def test_hypotheses_have_effects_or_their_rivals(recorded, tmp_path) -> None:  #
     columns = [belief.maps.effects[:, columns_of(effect, belief.effects)] for effect in (tilt, tether)]
     has = [(own != effect.nulls).any(axis=1) for own, effect in zip(columns, (tilt, tether), strict=True)]
     assert np.all(has[0] != has[1]) and 0 < has[0].sum() < 12
-    assert belief.settings["structures"].keys() <= STRUCTURES.keys()
+    shares = belief.settings["rivals"]
+    assert shares.keys() == {"table_tilt", "tether"}
+    assert belief.probability[has[0]].sum() == pytest.approx(shares["table_tilt"])
     # What is said of an effect is said of the hypotheses that have it.
     belief.save(tmp_path / "belief.npz")
     for one in (belief, Belief.load(tmp_path / "belief.npz")):
         values, probability = one.parameters_of("table_tilt")
         assert np.array_equal(values, columns[0][has[0]]) and probability.sum() == pytest.approx(1.0)
+        assert np.array_equal(one.has("tether"), has[1])
+        with pytest.raises(ValueError, match="has no effect 'skate', but"):
+            one.has("skate")
+    # The uniform object has the effects of one model, not a share of each.
+    uniform = uniform_maps(belief).effects[0]
+    own = [(uniform[columns_of(one, belief.effects)] != one.nulls).any() for one in (tilt, tether)]
+    assert sum(own) == 1
     slope = few.effect_estimates["table_tilt"]
     assert slope["down_x"]["low"] <= np.median(values[:, 0]) <= slope["down_x"]["high"]
     assert sorted(few.effect_estimates) == ["table_tilt", "tether"]
@@ -260,6 +270,36 @@ def test_a_rival_that_cannot_be_fitted_is_left_out(recorded, monkeypatch) -> Non
         identify(dataset, ["tether"], hypotheses=2, rivals=[["table_tilt"]])
     with pytest.raises(ValueError, match="does not support effects"):
         identify(dataset, method="paper", rivals=[["tether"]])
+    for wrong, said in (("tether", "list of lists"), (["tether"], r"write \[\['tether'\]\]")):
+        with pytest.raises(EffectError, match=said):
+            identify(dataset, rivals=wrong)
+
+
+def test_more_rivals_than_hypotheses(recorded) -> None:  # type: ignore[no-untyped-def]
+    """Some get none; sets that are given twice count once."""
+    dataset = made_by(recorded, heldout=0).with_fit_pushes(2)
+    rivals = [["tether"], ["loose_mass"], ["table_tilt"], ["tether"]]
+    found = identify(dataset, ["table_tilt"], hypotheses=2, friction_laws=False, rivals=rivals)
+    assert len(found.belief) == 2 and len(found.belief.settings.get("rivals", "one")) <= 3
+    assert set(found.effect_estimates) == {effect.name for effect in found.belief.effects}
+
+
+def test_friction_counts_with_the_effects_that_a_hypothesis_has(recorded) -> None:  # type: ignore[no-untyped-def]
+    """Rival effects change friction for those that have them alone."""
+    field = EFFECTS["table_friction_field"]
+    dataset = made_by(recorded, values={"table_friction_field": (3.0, 0.0, 0.0, 0.0, 0.0, 0.1)}, heldout=0)
+    found = identify(
+        dataset.with_fit_pushes(2), ["table_tilt"], hypotheses=8, friction_laws=False, rivals=[[field]]
+    )
+    belief = found.belief
+    assert belief.has(field.name).any()
+    place = np.mean(
+        [trial.object_pose.values[:, :2].mean(axis=0) for trial in dataset.fit_trials[:2]], axis=0
+    )
+    factor = field.level(place, belief.maps.effects[:, columns_of(field, belief.effects)])
+    (total,) = (fact for fact in found.quantities if fact.name == "total friction")
+    forces = belief.friction_forces * factor
+    assert forces.min() - 1e-6 <= total.value <= forces.max() + 1e-6
 
 
 def test_two_datasets_on_a_slope_shift_load_like_one(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
