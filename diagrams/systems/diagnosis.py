@@ -38,8 +38,8 @@ _OPEN = ("undecided", "unknown", FAILED, CLOSE)
 
 _QUESTION = "question"  # what a diagnosis is begun for that finds a question again
 
-_FAR = 2.0
-"""How many times larger errors with an effect must be for its first test to drop it."""
+_FAR, _FAR_BY = 2.0, 3.0
+"""How many times larger, and by how many mm, errors with an effect must be for its first test to drop it."""
 
 
 @dataclass(frozen=True)
@@ -337,7 +337,7 @@ class Diagnosis(PythonSystem):
             said += f" That decides nothing{', so the test goes on' * first}."
             verdict = CLOSE if first else TRIED
         elif own >= other:
-            if own < _FAR * other and first:
+            if first and (own < _FAR * other or own < other + _FAR_BY):
                 said += " That is close, so the test goes on."
                 verdict, wanted = CLOSE, min(max(wanted, count + self._settings.probation), self._most)
             else:

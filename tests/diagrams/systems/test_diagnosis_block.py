@@ -283,6 +283,15 @@ def test_a_close_call_is_decided_by_as_many_pushes_again(monkeypatch, later, the
     assert repair.tried is None and len(robot.compared) == 2 * (2 + 4)
 
 
+@pytest.mark.parametrize(("error", "then"), [(0.0035, "keeps"), (0.0045, "drops")])
+def test_a_few_millimetres_do_not_end_a_test_at_once(monkeypatch, error, then):
+    """A single push that ended 2.1 mm off with a true tilt, and 0.8 mm without, once dropped it."""
+    robot = Robot(monkeypatch, ("effect", ("tether",)), without=0.001)
+    for count in (5, 6, 7):
+        repair = robot.push(count, error=error, alarm=count == 5)
+    assert actions(repair) == ["adopts", then]
+
+
 @pytest.mark.parametrize(("later", "then"), [(0.0105, "keeps"), (0.001, "keeps"), (0.02, "drops")])
 def test_pushes_that_decide_nothing_do_not_end_a_test_at_once(monkeypatch, later, then):
     robot = Robot(monkeypatch, ("effect", ("tether",)), without=0.01)
