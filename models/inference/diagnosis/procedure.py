@@ -502,7 +502,10 @@ class Inquiry:
         return left is None or left < 0.5 * typical_misfit(self.misfit(first))
 
     def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
-        """Pairs of effects that together leave nothing, best first; several where the first is ambiguous."""
+        """Pairs of effects that together leave nothing, best first; several where the first is ambiguous.
+
+        A pair with more parameters than the best one has to fit better: a distant tether imitates a tilt.
+        """
         gains = self.refits.gains
         best = max(gains.values(), default=0.0)
         found: list[Fitted] = []
@@ -514,7 +517,12 @@ class Inquiry:
             if pair is not None:
                 found.append(pair)
         found.sort(key=lambda pair: pair.cost)
-        return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
+
+        def size(pair: Fitted) -> int:
+            return sum(len(effect.parameters) for effect in pair.effects)
+
+        near = [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
+        return [pair for pair in near if size(pair) <= size(found[0])]
 
     def _pair_with(self, name: str, rest: Screening) -> Fitted | None:
         """A pair of a candidate and a second effect that together leave nothing, if there is one.
