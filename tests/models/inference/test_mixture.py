@@ -284,22 +284,25 @@ def test_more_rivals_than_hypotheses(recorded) -> None:  # type: ignore[no-untyp
     assert set(found.effect_estimates) == {effect.name for effect in found.belief.effects}
 
 
-def test_friction_counts_with_the_effects_that_a_hypothesis_has(recorded) -> None:  # type: ignore[no-untyped-def]
-    """Rival effects change friction for those that have them alone."""
+def test_friction_counts_with_the_effects_that_a_hypothesis_has(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """Also those of the less likely rival, here made to change friction tenfold."""
     field = EFFECTS["table_friction_field"]
+
+    def tenfold(self, place, values):  # type: ignore[no-untyped-def]
+        return np.where((values != self.nulls).any(axis=1), 10.0, 1.0)
+
+    monkeypatch.setattr(type(field), "level", tenfold)
     dataset = made_by(recorded, values={"table_friction_field": (3.0, 0.0, 0.0, 0.0, 0.0, 0.1)}, heldout=0)
     found = identify(
         dataset.with_fit_pushes(2), ["table_tilt"], hypotheses=8, friction_laws=False, rivals=[[field]]
     )
     belief = found.belief
-    assert belief.has(field.name).any()
-    place = np.mean(
-        [trial.object_pose.values[:, :2].mean(axis=0) for trial in dataset.fit_trials[:2]], axis=0
-    )
-    factor = field.level(place, belief.maps.effects[:, columns_of(field, belief.effects)])
-    (total,) = (fact for fact in found.quantities if fact.name == "total friction")
+    assert [effect.name for effect in belief.effects] == ["table_tilt", field.name]
+    factor = np.where(belief.has(field.name), 10.0, 1.0)
     forces = belief.friction_forces * factor
-    assert forces.min() - 1e-6 <= total.value <= forces.max() + 1e-6
+    (total,) = (fact for fact in found.quantities if fact.name == "total friction")
+    assert total.low < 1.5 * forces[factor == 1.0].max() and total.high > forces[factor == 10.0].min()
+    assert forces[factor == 10.0].min() > 3.0 * forces[factor == 1.0].max()
 
 
 def test_two_datasets_on_a_slope_shift_load_like_one(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
