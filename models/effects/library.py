@@ -382,11 +382,17 @@ class LoadTransfer(Effect):
         mx = (p.push_height * cell.force_x - p.mass_height * inertia_x) / cell.weight
         my = (p.push_height * cell.force_y - p.mass_height * inertia_y) / cell.weight
         bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
-        kx = cell.spread_xx * bx + cell.spread_xy * by
-        ky = cell.spread_xy * bx + cell.spread_yy * by
-        shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
-        # Cells that lift off carry nothing, and those in front carry that much more. The sum stays the weight
-        # if the mass is even. The eighth root is three square roots, which vectorise over cells.
+        # The shift is zero at the centre of mass, so that the sum stays the weight. The cells' second moments
+        # are scaled to the mass's radius of gyration; in full they would be sums over cells.
+        com_x = cell.cos * cell.com_x + cell.sin * cell.com_y
+        com_y = cell.cos * cell.com_y - cell.sin * cell.com_x
+        radius2 = cell.moment / cell.mass - com_x**2 - com_y**2
+        even2 = (cell.spread_xx + cell.spread_yy) / (cell.spread_xx * cell.spread_yy - cell.spread_xy**2)
+        kx = (cell.spread_xx * bx + cell.spread_xy * by) * even2 / radius2
+        ky = (cell.spread_xy * bx + cell.spread_yy * by) * even2 / radius2
+        shift = kx * (cell.rx - com_x) + ky * (cell.ry - com_y)
+        # Cells that lift off carry nothing, and those in front carry that much more. The eighth root is three
+        # square roots, which vectorise over cells.
         return 1 + shift / (1 + shift**8) ** sp.Rational(1, 8)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:

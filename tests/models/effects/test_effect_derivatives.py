@@ -107,11 +107,15 @@ def test_sensitivities_of_effects_together(names: tuple[str, ...]) -> None:
 )
 def test_sensitivities_of_a_finger_that_settles_over_several_steps(names: tuple[str, ...]) -> None:
     values = np.concatenate([SHOWN[name] for name in names])
-    check([EFFECTS[name] for name in names], values, sliding_push(0.4, 4e-3))
+    # The path has a kink within 2e-4 of this compliance, so the steps are short.
+    check([EFFECTS[name] for name in names], values, sliding_push(0.4, 4e-3), step=3e-5)
 
 
-def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-untyped-def]
-    """Check each parameter of an effect, and each group of the others, to 1e-5 of its largest derivative."""
+def check(effects, values: np.ndarray, push: Push, step: float = 1e-4) -> None:  # type: ignore[no-untyped-def]
+    """Check each parameter of an effect, and each group of the others, to 1e-5 of its largest derivative.
+
+    Parameters of effects are shifted by `step` times their values.
+    """
     maps = plain_maps()
     slider = Slider(BLOCK, RADIUS, effects=effects)
     at = np.concatenate([maps.mass[0], maps.mu[0], maps.mu_finger, push.start_pose, push.start_twist, values])
@@ -123,7 +127,7 @@ def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-u
     for k, (effect, parameter) in enumerate(parameters):
         column = slice(2 * N + 7 + k, 2 * N + 8 + k)
         groups[f"{effect.name}.{parameter.name}"] = column
-        steps[column] = 1e-4 * max(abs(values[k]), 0.01 * parameter.scale)
+        steps[column] = step * max(abs(values[k]), 0.01 * parameter.scale)
 
     def run(rows: np.ndarray):  # type: ignore[no-untyped-def]
         return slider.rollout(

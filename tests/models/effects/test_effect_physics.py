@@ -339,26 +339,38 @@ def test_a_stiff_loose_mass_slides_alike_at_every_time_step(values) -> None:
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=2e-3)
 
 
-def test_moment_balance_of_load_transfer() -> None:
-    """The cells' loads carry the weight and balance the moment of a force above the table."""
-    high, force, weight, width = 0.02, np.array([0.4, -0.3]), MASS * G, 0.01
+@pytest.mark.parametrize("uneven", [0.0, 2.5])
+@pytest.mark.parametrize("theta", [0.0, 0.7])
+def test_moment_balance_of_load_transfer(theta: float, uneven: float) -> None:
+    """The cells' loads carry the weight, also of an uneven object, and balance the moment of a high force.
+
+    The heavier side is heavier by the same share everywhere, so that the second moments stay alike.
+    """
+    high, width = 0.02, 0.01
+    force = np.array([0.4, -0.3])
     centers = SQUARE.centers
-    spread = np.linalg.inv(centers.T @ centers / len(centers) + np.eye(2) * width**2 / 12)
+    mass = np.where(centers[:, 0] + centers[:, 1] > 0, 1.0 + uneven, 1.0)
+    mass *= MASS / mass.sum()
+    com = mass @ centers / MASS
+    moment = mass @ (centers**2).sum(axis=1) + MASS * width**2 / 6
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    spread = np.linalg.inv(np.cov(centers.T, bias=True) + np.eye(2) * width**2 / 12)
+    body = {
+        "force_x": (turn @ force)[0], "force_y": (turn @ force)[1], "mass": MASS, "weight": MASS * G,
+        "moment": moment, "com_x": (turn @ com)[0], "com_y": (turn @ com)[1], "gain_x": 0.0, "gain_y": 0.0,
+        "downhill_x": 0.0, "downhill_y": 0.0, "cos": turn[0, 0], "sin": turn[1, 0],
+        "spread_xx": spread[0, 0], "spread_xy": spread[0, 1], "spread_yy": spread[1, 1],
+    }  # fmt: skip
     p = SimpleNamespace(push_height=high, mass_height=0.0)
-    factors = np.array([
-        float(EFFECTS["load_transfer"].friction(SimpleNamespace(
-            force_x=force[0], force_y=force[1], mass=MASS, weight=weight, gain_x=0.0, gain_y=0.0,
-            downhill_x=0.0, downhill_y=0.0, cos=1.0, sin=0.0,
-            spread_xx=spread[0, 0], spread_xy=spread[0, 1], spread_yy=spread[1, 1], rx=x, ry=y,
-            centroid_x=0.0, centroid_y=0.0,
-        ), p))
-        for x, y in centers
-    ])  # fmt: skip
-    load = weight / len(centers)
-    assert load * factors.sum() == pytest.approx(weight, rel=1e-3)
-    slope = np.linalg.lstsq(centers, factors - factors.mean())[0]
-    within_cells = load * width**2 / 12 * slope * len(centers)
-    assert load * factors @ centers + within_cells == pytest.approx(high * force, rel=2e-3)
+    law = EFFECTS["load_transfer"].friction
+    factors = np.array([float(law(SimpleNamespace(**body, rx=x, ry=y), p)) for x, y in centers])
+    loads = mass * G * factors
+    assert loads.sum() == pytest.approx(MASS * G, rel=1e-3)
+    slope = np.linalg.lstsq(np.c_[centers, np.ones(len(centers))], factors)[0][:2]
+    within_cells = MASS * G * width**2 / 12 * slope
+    # Exact where the mass is spread like the cells, up to a scale.
+    allowed = (2e-3 if uneven == 0.0 else 0.1) * high * np.linalg.norm(force)
+    assert loads @ (centers - com) + within_cells == pytest.approx(high * force, abs=allowed)
 
 
 @pytest.mark.parametrize("high", [0.02, 0.06, 0.1, 0.15])
