@@ -44,6 +44,7 @@ def made_prediction(
         motion,
         *(Errors(value, *[np.nan] * 10) for value in (final_add, uniform_add, no_motion_add)),
         spread,
+        0.0,
         start_sensitivity,
         np.zeros((2, 3)),
         region_left_by(excess, measured[-1]),

@@ -11,7 +11,7 @@ Coulomb friction. It leaves out two things that hold for some recorded pushes an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 
 PLAIN = "plain"
+
+LAW_EFFECTS = ("load_transfer", "impulse_friction")
+"""Effects that laws besides the plain one consist of."""
 
 TOGETHER = " + "
 """Separator between the effects in a law's name."""
@@ -66,18 +69,30 @@ def beside_slope(effects: Sequence[Effect], dataset: PushDataset) -> tuple[Effec
     return tuple(e for e in LIBRARY if e.name == "load_transfer" and e.name not in names)
 
 
-def combinations(dataset: PushDataset, given: Sequence[Effect]) -> list[tuple[Effect, ...]]:
-    """Effects of each law, except the plain one, that the dataset can decide on besides the given ones."""
+def besides(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """What laws may consist of in a model that lacks these effects."""
+    lacking = {effect.name for effect in effects}
+    return tuple(name for name in LAW_EFFECTS if name not in lacking)
+
+
+def combinations(
+    dataset: PushDataset, given: Sequence[Effect], allowed: Collection[str] = LAW_EFFECTS
+) -> list[tuple[Effect, ...]]:
+    """Effects of each law, except the plain one, that the dataset can decide on besides the given ones.
+
+    Args:
+        allowed: names of those that a law may consist of.
+    """
     known = {effect.name: effect for effect in LIBRARY}
-    transfer, lean = known["load_transfer"], known["impulse_friction"]
+    transfer, lean = (known[name] for name in LAW_EFFECTS)
     # The load shifts by height times force over weight: for an object that was not weighed, other model
     # errors would be mistaken for a small weight.
     if dataset.height is None or dataset.mass is None:
         laws: list[tuple[Effect, ...]] = [(lean,)]
     else:
         laws = [(lean,), (transfer,), (transfer, lean)]
-    names = {effect.name for effect in given}
-    return [law for law in laws if names.isdisjoint(effect.name for effect in law)]
+    usable = set(allowed) - {effect.name for effect in given}
+    return [law for law in laws if usable.issuperset(effect.name for effect in law)]
 
 
 def name_of(effects: Sequence[Effect]) -> str:

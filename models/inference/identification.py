@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -28,6 +28,7 @@ from slipmap.models.effects.registry import effects_given
 from slipmap.models.inference.belief import END_ERRORS, OUTLINE_ERROR, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.friction_laws import LAW_EFFECTS, besides
 from slipmap.models.inference.gauss_newton import fit as fit_maps, of_dataset
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
@@ -75,7 +76,7 @@ def identify(
     seed: int = 0,
     progress: Progress | None = None,
     prior_settings: PriorSettings | None = None,
-    friction_laws: bool = True,
+    friction_laws: bool | Collection[str] = True,
     rivals: Sequence[Sequence[Effect | str]] = (),
 ) -> Identification:
     """Learn the maps of mass and friction from a dataset's `fit` pushes; judge them on all pushes.
@@ -90,7 +91,8 @@ def identify(
         prior_settings: the prior of the maps; if None, each of `STRUCTURES` is used, weighted by how well it
             explains the pushes.
         friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
-            (see `friction_laws`); takes longer. The method `paper` has only the plain one.
+            (see `friction_laws`), or the effects that these may consist of, of `load_transfer` and
+            `impulse_friction`; takes longer. The method `paper` has only the plain one.
         rivals: other sets of effects that may be there instead of `effects`, such as `[["tether"]]`, weighted
             in the same way: each hypothesis has one set, and the other effects at their nulls. A rival that
             cannot be fitted, or explains the pushes far worse, gets none. Shares are in
@@ -103,8 +105,8 @@ def identify(
 
     Raises:
         DatasetError: there is no push to fit, or the model with the effects cannot be fitted.
-        ValueError: an unknown method, effects with `paper`, too few hypotheses, or a seed that is not a whole
-            number of at least 0.
+        ValueError: an unknown method or law, effects with `paper`, too few hypotheses, or a seed that is not
+            a whole number of at least 0.
         EffectError: an unknown effect, or a formula that cannot be used.
 
     Example:
@@ -117,6 +119,7 @@ def identify(
     added = effects_given(effects)
     others = _rivals_given(rivals, added)
     check_method(method, [*added, *others])
+    laws = _laws_given(friction_laws)
     check_request(dataset, hypotheses, seed)
     off, _ = beyond_table(dataset, dataset.trials)
     if off is not None and not any(off in warning for warning in dataset.warnings):  # not read from a file
@@ -149,7 +152,7 @@ def identify(
             beside.append(with_effects(other, place))
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
-        prior_settings=prior_settings, friction_laws=friction_laws, rivals=beside, started=started,
+        prior_settings=prior_settings, laws=laws, rivals=beside, started=started,
     )  # fmt: skip
 
 
@@ -163,7 +166,7 @@ def learn(
     seed: int = 0,
     report: Progress = silent,
     prior_settings: PriorSettings | None = None,
-    friction_laws: bool = True,
+    laws: Collection[str] = LAW_EFFECTS,
     rivals: Sequence[Fitted | EffectsGiven | None] = (),
     started: float | None = None,
 ) -> Identification:
@@ -172,7 +175,8 @@ def learn(
     Args:
         observations: all its pushes; those with the role `fit` are fitted.
         found: the model with effects, as fitted before; None for the model without.
-        hypotheses, seed, prior_settings, friction_laws: as in `identify`.
+        hypotheses, seed, prior_settings: as in `identify`.
+        laws: names of the effects that laws of friction besides the plain one may consist of.
         rivals: like `found`, other models that may be right instead.
         started: reading of `time.perf_counter` when the work began; now if None.
     """
@@ -191,7 +195,7 @@ def learn(
     few = with_fewer_cells(dataset)
     fitting = partial(report, "fitting")
     with of_dataset(dataset.name, () if found is None else found.effects):
-        explained = partial(explain, few, fitted, prior_settings, plain_only=not friction_laws)
+        explained = partial(explain, few, fitted, prior_settings, laws=laws)
         every = explained(part_of(fitting, 0, len(models)), found)
         for place, other in enumerate(models[1:], 1):
             with suppress(RolloutError, np.linalg.LinAlgError):
@@ -200,7 +204,7 @@ def learn(
         share_of_known = None
         if dataset.known is not None and not every[0].given:
             free, own = replace(few, known=None), partial(report, "fitting free maps")
-            compared = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+            compared = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, laws=()))
             share_of_known = weighed(compared)[0].share
         every = with_fine_fits(every, dataset.noise)
         learned = mixed_belief(few, every, hypotheses, seed, report)
@@ -260,7 +264,8 @@ def fit(
         dataset, effects, hypotheses, seed, progress: as in `identify`.
 
     Returns:
-        What was learned with the effects; its `without_effects` is what `identify` learns without them.
+        What was learned with the effects; its `without_effects` is what `identify` learns without them, also
+        among its laws of friction.
 
     Raises:
         DatasetError, ValueError, EffectError: as `identify`.
@@ -274,8 +279,21 @@ def fit(
     """
     result = identify(dataset, effects, hypotheses=hypotheses, seed=seed, progress=progress)
     own = about("without effects", progress or silent)
-    plain = identify(dataset, hypotheses=hypotheses, seed=seed, progress=own)
+    laws = besides(effects_given(effects))
+    plain = identify(dataset, hypotheses=hypotheses, seed=seed, progress=own, friction_laws=laws)
     return replace(result, without_effects=plain)
+
+
+def _laws_given(friction_laws: bool | Collection[str]) -> tuple[str, ...]:
+    """What laws may consist of, checked."""
+    if isinstance(friction_laws, bool):
+        return LAW_EFFECTS if friction_laws else ()
+    unknown = [name for name in friction_laws if name not in LAW_EFFECTS]
+    if isinstance(friction_laws, str) or unknown:
+        raise ValueError(
+            f"friction_laws must be True, False or some of {', '.join(LAW_EFFECTS)}, got {friction_laws!r}"
+        )
+    return tuple(friction_laws)
 
 
 def _rivals_given(

@@ -18,7 +18,7 @@ the smallest α, and with residuals no larger than that α allows.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -143,7 +143,7 @@ def explain(
     progress: StageProgress,
     found: Fitted | EffectsGiven | None = None,
     *,
-    plain_only: bool,
+    laws: Collection[str],
 ) -> list[Explanation]:
     """Explanations of the pushes with their shares.
 
@@ -155,7 +155,7 @@ def explain(
         settings: the only prior of the maps; if None, all structures that the object may have are tried.
         found: fit of the model with effects. All laws then include these effects, with priors centred on its
             values, so that nothing pulls them to their nulls where the likelihood says little.
-        plain_only: whether to skip the other laws.
+        laws: names of the effects that laws besides the plain one may consist of.
 
     Returns:
         Explanations with their shares, the largest first; shares sum to one.
@@ -167,7 +167,7 @@ def explain(
     if len(some) > 2 * _COMPARED:
         some = np.sort(np.random.default_rng(0).choice(len(observations), _COMPARED, replace=False))
     few, first = [observations[b] for b in some.tolist()], part_of(progress, 0, 2)
-    compared = partial(_compared, dataset, plain_only=plain_only)
+    compared = partial(_compared, dataset, laws=laws)
     try:
         chosen = compared([one.with_long_steps for one in few], settings, first, found)
     except (RolloutError, np.linalg.LinAlgError):  # the usual ones may do
@@ -204,7 +204,7 @@ def _compared(
     progress: StageProgress,
     found: Fitted | EffectsGiven | None,
     *,
-    plain_only: bool,
+    laws: Collection[str],
 ) -> list[Explanation]:
     """Fit the plain law with every structure, and the other laws with the usual one; as `explain`.
 
@@ -213,7 +213,7 @@ def _compared(
     """
     given = () if found is None else found.effects
     structures = {"own": settings} if settings is not None else structures_of(dataset)
-    others = [] if plain_only else combinations(dataset, given)
+    others = combinations(dataset, given, laws)
     # A second law may be tried with these too.
     besides = [name for name in list(structures)[1:] if name != "smooth"]
     shares = iter(shares_of(progress, len(structures) + len(others) + (len(besides) if others else 0)))

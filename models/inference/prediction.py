@@ -56,6 +56,14 @@ class Motion:
         """(T, 2) probability-weighted mean, N."""
         return np.einsum("k,ktc->tc", self.probability, self.forces)
 
+    def spread_misfit(self, observation: Observation, noise: SensorNoise) -> float:
+        """Misfit that the spread of the hypotheses alone would cause, see `push_errors.Errors`."""
+        used = observation.sliding
+        poses = ((self.poses - self.middle_poses) / noise.of_poses) ** 2
+        forces = ((self.forces - self.mean_forces)[:, used] / noise.force) ** 2
+        every = np.concatenate([one.reshape(len(self.poses), -1) for one in (poses, forces)], axis=1)
+        return float(np.sqrt(self.probability @ every.mean(axis=1)))
+
     @property
     def likeliest_poses(self) -> FloatArray:
         """(S, 3) poses of the most probable hypothesis, in consistent contact with the finger."""
@@ -72,6 +80,7 @@ class Prediction:
     uniform: Errors  # errors of a uniform object with the belief's mass, friction and finger
     resting: Errors  # errors of an object that does not move
     spread: float  # probability-weighted mean ADD of the hypotheses from `predicted` at the end, m
+    spread_misfit: float  # misfit that the spread of the hypotheses alone would cause
     # shift of the predicted end (ADD) per metre of sideways shift of the start; large where the push starts
     # near balance and half a millimetre decides
     start_sensitivity: float
@@ -283,6 +292,7 @@ def predict_observations(
                 uniform=errors(observation, even.poses[0], even.forces[0], grid, noise),
                 resting=resting_errors(observation, grid, noise),
                 spread=float(p @ add(ends, middle[-1], grid.centers)),
+                spread_misfit=motion.spread_misfit(observation, noise),
                 start_sensitivity=float(np.mean([add(s[b], likely, grid.centers) for s in shifted]) / shift),
                 end_interval=np.array(alone).T,
                 end_region=EndRegion.of(drawn[:, b], p, seen, off),

@@ -11,7 +11,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
-from slipmap.models.inference.push_errors import Paired
+from slipmap.models.inference.push_errors import Paired, least_misfit
 from slipmap.models.inference.summaries import decimals
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -65,7 +65,8 @@ class Identification:
             was tried, empty for the method `paper`.
         share_of_known: where maps were known beforehand, the weight of the model with these maps against one
             with free maps; 0 where the pushes contradict them.
-        without_effects: for `fit`, what the model without the effects learned from the same pushes.
+        without_effects: for `fit`, what the model without the effects, also among its laws of friction,
+            learned from the same pushes.
         dataset: the pushes as they were measured, fitted and held out.
     """
 
@@ -111,10 +112,10 @@ class Identification:
         if self.without_effects is None:
             return None
         first, second = (
-            np.array([push.errors.misfit for push in learned.pushes if push.role == self.judges])
+            np.array([(p.errors.misfit, p.spread_misfit) for p in learned.pushes if p.role == self.judges]).T
             for learned in (self.without_effects, self)
         )
-        return Paired.of(first, second)
+        return Paired.of(first[0], second[0], least_misfit(first[1], second[1]))
 
     @property
     def verdict(self) -> str:

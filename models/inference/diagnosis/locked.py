@@ -14,7 +14,7 @@ from slipmap.models.inference.identification import with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
-from slipmap.models.inference.push_errors import Errors, Paired, errors
+from slipmap.models.inference.push_errors import Errors, Paired, errors, least_misfit
 from slipmap.models.inference.results import Identification
 from slipmap.models.inference.together import JointFit, Taught
 from slipmap.models.measurements import DatasetError, PushDataset, Trial
@@ -44,12 +44,18 @@ class LockedErrors:
     path: FloatArray  # (L,) ADD averaged over the trajectory, m
     final: FloatArray  # (L,) ADD at the end, m
     misfit: FloatArray  # (L,) of each, see `push_errors.Errors`
+    spread: FloatArray  # (L,) misfit that the spread of the hypotheses alone would cause
 
     @classmethod
-    def of(cls, errors: Sequence[Errors]) -> LockedErrors:
-        """Join the errors of L pushes."""
+    def of(cls, errors: Sequence[Errors], spread: Sequence[float] | FloatArray) -> LockedErrors:
+        """Join the errors of L pushes, and the misfits (L,) by the spread of the hypotheses."""
         names = ("mean_add", "final_add", "misfit")
-        return cls(*(np.array([getattr(error, name) for error in errors]) for name in names))
+        path, final, misfit = (np.array([getattr(error, name) for error in errors]) for name in names)
+        return cls(path, final, misfit, np.array(spread))
+
+    def to(self, other: LockedErrors) -> Paired:
+        """Compare the misfits with another model's on the same pushes, as far as both determine them."""
+        return Paired.of(self.misfit, other.misfit, least_misfit(self.spread, other.spread))
 
     @property
     def ends_only(self) -> bool:
@@ -99,8 +105,10 @@ def with_locked(dataset: PushDataset, locked: Collection[str]) -> PushDataset:
 
 def locked_errors(learned: Identification) -> LockedErrors | None:
     """Errors of a belief on the pushes held out from it; None where there are none."""
-    errors = [push.errors for push in learned.pushes if push.role == "heldout"]
-    return LockedErrors.of(errors) if errors else None
+    pushes = [push for push in learned.pushes if push.role == "heldout"]
+    if not pushes:
+        return None
+    return LockedErrors.of([push.errors for push in pushes], [push.spread_misfit for push in pushes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +144,7 @@ class Ground:
             errors(o, motion.middle_poses, motion.mean_forces, dataset.grid, noise)
             for o, motion in zip(self.locked, predicted_motion(belief, self.locked), strict=True)
         ]
-        return LockedErrors.of(found), self.taught.costs(self.locked, prior, z)
+        return LockedErrors.of(found, np.zeros(len(found))), self.taught.costs(self.locked, prior, z)
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,6 +78,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     worth_asking,
 )
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.friction_laws import LAW_EFFECTS, TOGETHER, besides
 from slipmap.models.inference.identification import learn, with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.push_errors import repeated_pushes
@@ -146,11 +147,27 @@ def diagnose(
 
     # What `identify` and `fit` learn from the same pushes.
     learned_with = partial(learn, divided, everything, seed=seed)
+
     tasks: list[Callable[[], Any]] = [inquire, partial(learned_with, None, report=silent)]
     (inquiry, outcome), without = side_by_side(tasks)
     before = locked_errors(without)
 
-    judged = partial(_judged, inquiry, learned_with)
+    @cache
+    def lacking(laws: tuple[str, ...]) -> Identification:
+        """What is learned without effects where laws of friction consist of these at most."""
+        barred = set(LAW_EFFECTS).difference(laws)
+        allowed = all(barred.isdisjoint(law.split(TOGETHER)) for law in without.friction_laws)
+        return without if allowed else learned_with(None, report=silent, laws=laws)
+
+    def judged(
+        answer: Outcome, baseline: LockedErrors | None, rough: bool
+    ) -> tuple[Outcome, list[Identification], LockedErrors | None]:
+        # A law of friction may be the very effect that is judged.
+        laws = besides([effect for rival in answer.rivals for effect in rival.effects])
+        if before is not None and baseline is before:
+            baseline = locked_errors(lacking(laws))
+        return _judged(inquiry, partial(learned_with, laws=laws), answer, baseline, rough)
+
     outcome, learned, least = judged(outcome, before, inquiry.rough)
     by_evidence = cache(partial(inquiry.by_evidence, with_locked(few, locked), seed))
     second = None if quick or before is None else inquiry.second_beside_first(by_evidence)
@@ -166,6 +183,8 @@ def diagnose(
             if found.rivals:
                 outcome, learned = found, with_it
                 break
+    without = lacking(besides([effect for rival in outcome.rivals for effect in rival.effects]))
+    before = locked_errors(without)
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
     free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)

@@ -98,7 +98,8 @@ class Diagnosis(Outcome):
     p_value: float | None  # of the largest gain; None where nothing was simulated
     open_trials: tuple[str, ...]  # pushes that were fitted
     locked: tuple[str, ...]  # pushes that were locked away
-    without_effects: Identification  # what `identify` learns from the open pushes
+    # what `identify` learns from the open pushes; its laws of friction lack the effects of the answer
+    without_effects: Identification
     with_effects: Identification | None  # the same with the best effects; None where there is none
     base: Fitted  # fitted model without effects
     motion_error: float  # α of the final error model

@@ -11,7 +11,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.push_errors import LEAST_MISFIT, Paired
+from slipmap.models.inference.push_errors import LEAST_MISFIT, least_misfit
 from slipmap.models.inference.results import Identification, holds_null
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -27,9 +27,9 @@ QUICK_GAIN = 8.0
 _MATERIAL = 0.03
 """An addition that gains less than this share of an effect's own gain only corrects its exact form."""
 
-_MATERIAL_BY_FAR = 0.01
-"""The same where the addition gains more than `PROBE_GAIN`. Effects that only resembled the hidden one left
-28 nats or more, 1 to 3 % of their own gain; the hidden effects themselves left at most 13, under 0.5 %."""
+_MATERIAL_BY_FAR, _BY_FAR = 0.01, 24.0
+"""The same where the addition gains more than so many nats. Effects that only resembled the hidden one left
+28 or more, 1 to 3 % of their own gain; the hidden effects themselves left at most 20, about 1 %."""
 
 _LEFT_BY_ITSELF, _SHARE_OF_SECOND = 0.5 * _MATERIAL_BY_FAR, 0.2
 """Shares of the gains of a first and of a second effect; up to the smaller one, what is left by both may come
@@ -178,7 +178,7 @@ class Rules:
         found = self.found(rest, REST_GAIN, REST_GAIN)
         top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
-        share = _MATERIAL_BY_FAR if gain > PROBE_GAIN else _MATERIAL
+        share = _MATERIAL_BY_FAR if gain > _BY_FAR else _MATERIAL
         material = found is not None and gain >= share * own_gain
         return Remainder(
             rest.candidates[top].name if material else None, gain, self.p_value(rest, gain), found is None
@@ -368,7 +368,7 @@ def objections(
             after is None
             or locked_pushes_object(False, before, after)
             or locked_pushes_stay_off(before, after)
-        ) and any(Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported)
+        ) and any(other.to(after).ratio < 1.0 + _LEAST_HELP for other in supported)
 
     def weak(against: Objection) -> bool:
         return against.reason == "not better" or (against.reason == "holds null" and against.effect is None)
@@ -384,18 +384,20 @@ def locked_pushes_object(rough: bool, before: LockedErrors | None, after: Locked
     """
     if before is None or after is None:
         return False
-    paired = Paired.of(before.misfit, after.misfit)
+    paired = before.to(after)
     if (rough or paired.ratio > _SLIGHT) and len(before.misfit) > 1:
         return paired.verdict != "for"
     near = before.total_misfit < _FAR_OFF
-    return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)
+    least = least_misfit(before.spread, after.spread)
+    root = [np.square(np.maximum(one.misfit, least)).mean() for one in (before, after)]
+    return paired.ratio >= 1.0 or (near and bool(root[1] >= root[0]))
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
     """Whether locked pushes that are far off stay nearly as far off with the answer."""
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
-    return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
+    return before.to(after).ratio > 1.0 - _LEAST_HELP
 
 
 def _far_behind(learned: Identification, after: LockedErrors) -> bool:

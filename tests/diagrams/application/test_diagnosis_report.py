@@ -89,8 +89,8 @@ def test_an_adequate_model_beside_a_gain_beyond_chance_is_explained(tilted, refi
 def test_no_error_along_the_path_is_told_where_only_ends_were_measured(effects, way):
     """Two rows a push: its only pose is its end, whose error had been given twice."""
     measured = way != 1e-3
-    before, after = (LockedErrors(np.full(3, w), np.full(3, 1e-3), np.ones(3)) for w in (way, way))
-    found = SimpleNamespace(before=before, after=after, locked=("a", "b", "c"), effect_objects=effects)
+    errors = LockedErrors(np.full(3, way), np.full(3, 1e-3), np.ones(3), np.zeros(3))
+    found = SimpleNamespace(before=errors, after=errors, locked=("a", "b", "c"), effect_objects=effects)
     said, (_, rows) = improvement(found), locked_table(found)
     assert ("along the path" in said) == measured and "1.0 mm" in said and "at the end" in said
     assert [row[0].split(" (")[0] for row in rows][:1] == ["along the path" if measured else "at the end"]

@@ -45,7 +45,7 @@ def made(*falls, verdict="effect", ends=1.0):
     """
     named = verdict == "effect"
     lag = (ParameterEstimate("sensor_latency", "latency", "s", 0.025, 0.02, 0.03),) if named else ()
-    errors = LockedErrors(np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3]), np.array([3.0, 5.0]))
+    errors = LockedErrors(np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3]), np.array([3.0, 5.0]), np.zeros(2))
     after = dataclasses.replace(errors, final=ends * errors.final)
     datasets = tuple(
         DatasetResult(f"set {k}", ("a", "b"), ("c", "d"), k == 0, errors, after if named else None, fall, lag)

@@ -127,7 +127,7 @@ def rows(name: str) -> list[str]:
     """The study's rows for one object."""
     rng, world = np.random.default_rng([SEED, 1]), ModelWorld(benchmark_object(name))
     true, dataset = world.true_object, as_dataset(world, explored(world, SEED)[1])
-    every = explain(dataset, observe_all(dataset), None, _silent, plain_only=True)
+    every = explain(dataset, observe_all(dataset), None, _silent, laws=())
     one = with_fine_fits(every, dataset.noise)[0]
     likelihood, best = one.drawn_from[-1]
     print(f"{name}: {one.structure}, {likelihood.prior.size} coordinates", flush=True)

@@ -222,7 +222,7 @@ def test_an_interval_is_as_wide_as_the_fits_allow_where_hypotheses_agree(recorde
     """Hypotheses that are all alike leave the posterior variance; what is open stays theirs."""
     observations = [o for o in observe_all(recorded.dataset) if o.role == "fit"]
     dataset, quiet = recorded.dataset, lambda *_: None
-    (one,) = explain(dataset, observations, PriorSettings(), quiet, plain_only=True)
+    (one,) = explain(dataset, observations, PriorSettings(), quiet, laws=())
     belief = mixed_belief(dataset, [one], 20, 0, quiet)
     first = (getattr(belief.maps, name)[:1] for name in ("mass", "mu", "mu_finger"))
     maps = Maps(*(np.repeat(rows, 20, axis=0) for rows in first))

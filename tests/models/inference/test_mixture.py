@@ -15,12 +15,13 @@ from slipmap.models.effects import LIBRARY, EffectError
 from slipmap.models.effects.effect import columns_of
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.refits import find_effects
 from slipmap.models.inference.diagnosis.several import fit_together
-from slipmap.models.inference.friction_laws import beside_slope, effect_prior
+from slipmap.models.inference.friction_laws import LAW_EFFECTS, beside_slope, effect_prior
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.hypotheses import FINE_ERROR, trusting
-from slipmap.models.inference.identification import identify
+from slipmap.models.inference.identification import fit as slipmap_fit, identify
 from slipmap.models.inference.mixture import (
     LEAST_SHARE,
     Explanation,
@@ -80,7 +81,7 @@ def fitted(leaning) -> list[Observation]:  # type: ignore[no-untyped-def]
 
 @pytest.fixture(scope="module")
 def every(leaning, fitted) -> list[Explanation]:  # type: ignore[no-untyped-def]
-    return explain(leaning, fitted, None, lambda done, total: None, plain_only=False)
+    return explain(leaning, fitted, None, lambda done, total: None, laws=LAW_EFFECTS)
 
 
 @pytest.mark.parametrize("names", [(), ("load_transfer",), ("impulse_friction",)], ids="+".join)
@@ -106,7 +107,7 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(
     monkeypatch.setattr("slipmap.models.inference.mixture._COMPARED", 2)
     said: list[float] = []
     progress = lambda done, total: said.append(done / total)  # noqa: E731
-    chosen = explain(leaning, fitted, None, progress, plain_only=False)
+    chosen = explain(leaning, fitted, None, progress, laws=LAW_EFFECTS)
     assert said == sorted(said) and said[-1] == 1.0
     for one in chosen:
         assert list(one.likelihood.observations) == fitted
@@ -136,10 +137,10 @@ def test_laws_of_many_pushes_are_chosen_on_some_and_fitted_to_all(
 
     monkeypatch.setattr(mixture, "_compared", compared_once)
     monkeypatch.setattr(mixture, "fit_with_trust", fit)
-    (left,) = explain(leaning, fitted, None, progress, plain_only=False)
+    (left,) = explain(leaning, fitted, None, progress, laws=LAW_EFFECTS)
     assert left.share == 1.0 and len(chosen) > 1
     with pytest.raises(RolloutError, match="broken"):
-        explain(leaning, fitted, None, progress, plain_only=False)
+        explain(leaning, fitted, None, progress, laws=LAW_EFFECTS)
 
 
 def test_explanations_chosen_with_long_steps_are_fitted_with_the_usual_ones(
@@ -150,7 +151,7 @@ def test_explanations_chosen_with_long_steps_are_fitted_with_the_usual_ones(
         with_steps = fit(one.likelihood, one.best.z, offsets=one.best.offsets)
         assert one.best.cost[0] == pytest.approx(with_steps.cost[0], rel=2e-3)
     monkeypatch.setattr(type(fitted[0]), "with_long_steps", property(lambda self: self))
-    slow = explain(leaning, fitted, None, lambda done, total: None, plain_only=False)
+    slow = explain(leaning, fitted, None, lambda done, total: None, laws=LAW_EFFECTS)
     assert [(one.law, one.structure) for one in every] == [(one.law, one.structure) for one in slow]
     for one, other in zip(every, slow, strict=True):
         assert one.share == pytest.approx(other.share, abs=0.05)
@@ -183,6 +184,28 @@ def test_every_structure_is_tried_with_a_law_that_is_likelier_than_the_plain_one
     assert next(iter(found.friction_laws)) == "load_transfer"
     assert found.belief.settings["model_errors"] == [FINE_ERROR]
     assert max(told) <= 1.0
+
+
+def test_a_law_does_not_stand_in_for_the_effect_that_is_judged(recorded) -> None:  # type: ignore[no-untyped-def]
+    """`identify` finds load transfer by itself, so its errors cannot tell what that effect is worth."""
+    dataset = made_by(recorded, "load_transfer")
+    by_itself = identify(dataset, hypotheses=4)
+    assert by_itself.friction_laws["load_transfer"] > 0.9
+    lacking = identify(dataset, hypotheses=4, friction_laws=["impulse_friction"])
+    assert not any("load_transfer" in law for law in lacking.friction_laws)
+    result = slipmap_fit(dataset, ["load_transfer"], hypotheses=4)
+    assert result.without_effects is not None and result.verdict == "for"
+    assert result.without_effects.errors("heldout") == pytest.approx(lacking.errors("heldout"), rel=1e-9)
+    found = diagnose(dataset, effects=["load_transfer", "viscous_friction"], quick=True)
+    assert found.effect == "load_transfer" and found.before is not None and found.after is not None
+    assert found.after.total_misfit < 0.6 * found.before.total_misfit
+    assert not any("load_transfer" in law for law in found.without_effects.friction_laws)
+
+
+@pytest.mark.parametrize("laws", ["load_transfer", ["viscous_friction"], ["load_transfer", "plain"]])
+def test_unknown_laws_are_refused(recorded, laws) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match=r"True, False or some of load_transfer, impulse_friction, got"):
+        identify(recorded.dataset, hypotheses=2, friction_laws=laws)
 
 
 @pytest.mark.parametrize("missing", ["height", "mass"])

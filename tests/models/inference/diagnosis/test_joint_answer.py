@@ -12,7 +12,8 @@ from slipmap.models.inference.diagnosis.locked import JudgedFit, LockedErrors
 
 def missed(misfit):
     """Errors of two locked pushes."""
-    return LockedErrors(np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3]), np.array([misfit, misfit]))
+    path, final = np.array([1e-3, 2e-3]), np.array([4e-3, 6e-3])
+    return LockedErrors(path, final, np.array([misfit, misfit]), np.zeros(2))
 
 
 TILT = (TableTilt(),)

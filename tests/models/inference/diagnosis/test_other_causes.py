@@ -125,7 +125,7 @@ def test_a_wrong_mass_is_named_beside_the_effect_that_it_imitates():
 def weighed(value: float, low: float, high: float, *misfits: float) -> SimpleNamespace:
     """What is learned, with these misfits of the locked pushes."""
     errors = [SimpleNamespace(mean_add=1e-3, final_add=1e-3, misfit=misfit) for misfit in misfits]
-    pushes = [SimpleNamespace(role="heldout", errors=one) for one in errors]
+    pushes = [SimpleNamespace(role="heldout", errors=one, spread_misfit=0.0) for one in errors]
     mass = SimpleNamespace(name="total mass", value=value, low=low, high=high)
     return SimpleNamespace(quantities=[mass], belief=None, pushes=pushes)
 

@@ -33,14 +33,12 @@ ALIKE = {"far": 50.0, "near": 50.0}
     [(18.0, 17.7, True), (18.0, 16.0, False), (18.0, 1.5, False), (1.4, 1.4, False), (2.5, 2.6, True)],
 )
 def test_locked_pushes_that_stay_far_off_refute_an_answer(before, after, off):
-    errors = [LockedErrors(*3 * [np.full(4, value)]) for value in (before, after)]
-    assert locked_pushes_stay_off(*errors) is off
+    errors_of = [errors(*4 * [value]) for value in (before, after)]
+    assert locked_pushes_stay_off(*errors_of) is off
 
 
 def test_one_push_near_to_balance_does_not_refute_an_answer():
-    before, after = (
-        LockedErrors(*3 * [np.array(misfit)]) for misfit in ([2.4, 2.0, 10.2, 4.0], [1.1, 1.1, 15.1, 1.4])
-    )
+    before, after = (errors(*misfit) for misfit in ([2.4, 2.0, 10.2, 4.0], [1.1, 1.1, 15.1, 1.4]))
     assert after.total_misfit > before.total_misfit
     assert not locked_pushes_stay_off(before, after)
 
@@ -49,8 +47,16 @@ def test_without_locked_pushes_nothing_is_refuted():
     assert not locked_pushes_stay_off(None, None)
 
 
-def errors(*misfits):
-    return LockedErrors(*3 * [np.array(misfits)])
+def errors(*misfits, spread=0.0):
+    return LockedErrors(*3 * [np.array(misfits)], np.broadcast_to(spread, len(misfits)))
+
+
+@pytest.mark.parametrize(("spread", "objects"), [((0.4, 0.4, 0.4, 6.0), False), (0.4, True)])
+def test_a_push_that_is_left_open_does_not_object(spread, objects):
+    """Near the noise, one that is missed by more with the effect than without, near balance or not."""
+    before = errors(1.5, 1.4, 1.6, 3.0, spread=spread)
+    after = errors(1.0, 0.9, 1.1, 4.6, spread=spread)
+    assert locked_pushes_object(False, before, after) is objects
 
 
 @pytest.mark.parametrize(
