@@ -382,14 +382,11 @@ class LoadTransfer(Effect):
         mx = (p.push_height * cell.force_x - p.mass_height * inertia_x) / cell.weight
         my = (p.push_height * cell.force_y - p.mass_height * inertia_y) / cell.weight
         bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
-        # The shift is zero at the centre of mass, so that the sum stays the weight. The cells' second moments
-        # are scaled to the mass's radius of gyration; in full they would be sums over cells.
+        kx = cell.spread_xx * bx + cell.spread_xy * by
+        ky = cell.spread_xy * bx + cell.spread_yy * by
+        # No shift at the centre of mass, so that the sum stays the weight, however uneven the object is.
         com_x = cell.cos * cell.com_x + cell.sin * cell.com_y
         com_y = cell.cos * cell.com_y - cell.sin * cell.com_x
-        radius2 = cell.moment / cell.mass - com_x**2 - com_y**2
-        even2 = (cell.spread_xx + cell.spread_yy) / (cell.spread_xx * cell.spread_yy - cell.spread_xy**2)
-        kx = (cell.spread_xx * bx + cell.spread_xy * by) * even2 / radius2
-        ky = (cell.spread_xy * bx + cell.spread_yy * by) * even2 / radius2
         shift = kx * (cell.rx - com_x) + ky * (cell.ry - com_y)
         # Cells that lift off carry nothing, and those in front carry that much more. The eighth root is three
         # square roots, which vectorise over cells.

@@ -3,7 +3,7 @@
 Every entry point uses the same estimator. `identify` learns the maps, and effects too where some are given;
 `fit` learns both with and without effects; a diagnosis judges its answer by the same two.
 
-The strict likelihood of the diagnosis finds where effects act (`find_effects`). It trusts every row of
+The strict likelihood of the diagnosis finds where effects act (`EffectSearch`). It trusts every row of
 force, and is confident about a total mass that a 2 % error of the force model shifts by a third; whatever is
 proportional to mass, such as a tilt, shifts with it. So the sizes of effects also come from the forgiving
 likelihood, with its prior centred where the strict one led.
@@ -134,22 +134,23 @@ def identify(
     fitted = to_learn_from([observation for observation in observations if observation.role == "fit"])
     few = with_fewer_cells(dataset)
 
-    parts = 1 + len(others)
+    found: Fitted | None = None
+    beside: list[Fitted | None] = []
+    sets = [wanted for wanted in (added, *others) if wanted]
+    if sets:
+        from slipmap.models.inference.diagnosis.refits import EffectSearch
 
-    def with_effects(wanted: Sequence[Effect], place: int) -> Fitted | None:
-        if not wanted:
-            return None
-        from slipmap.models.inference.diagnosis.refits import find_effects
+        count = 1 + len(sets)
+        parts = (part_of(partial(report, "finding effects"), place, count) for place in range(count))
+        search = EffectSearch.of(few, fitted, next(parts))
 
-        def told(stage: str, done: int, total: int) -> None:
-            report(stage, place * total + done, parts * total)
+        def with_effects(wanted: Sequence[Effect]) -> Fitted | None:
+            return search.find(wanted, np.random.default_rng(seed), next(parts)) if wanted else None
 
-        return find_effects(few, fitted, wanted, np.random.default_rng(seed), told)
-
-    found, beside = with_effects(added, 0), []
-    for place, other in enumerate(others, 1):
-        with suppress(DatasetError):
-            beside.append(with_effects(other, place))
+        found = with_effects(added)
+        for other in others:
+            with suppress(DatasetError):
+                beside.append(with_effects(other))
     return learn(
         dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
         prior_settings=prior_settings, laws=laws, rivals=beside, started=started,

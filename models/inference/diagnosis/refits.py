@@ -17,7 +17,7 @@ from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.observations import Observation
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, StageProgress, part_of, side_by_side
+from slipmap.models.progress import StageProgress, side_by_side
 
 _TOGETHER = 4
 """Candidates in the first group that is refitted side by side; each later group is twice as large. A search
@@ -197,42 +197,52 @@ def pairs(
             yield pair
 
 
-def find_effects(
-    dataset: PushDataset,
-    observations: Sequence[Observation],
-    effects: Sequence[Effect],
-    rng: np.random.Generator,
-    report: Progress,
-) -> Fitted:
-    """Fit the model with some effects to pushes.
+@dataclass(frozen=True, eq=False)
+class EffectSearch:
+    """Fits models with different effects to the same pushes, all from one fit without effects."""
 
-    Args:
-        effects: effects of the model, at least one.
+    fitter: Fitter
+    base: Fitted
 
-    Raises:
-        DatasetError: the model with the effects cannot be fitted.
-        EffectError: a formula cannot be used.
-    """
-    stage = partial(report, "finding effects")
-    stage(0, 3)
-    fitter = Fitter(dataset, observations, sensor_noise(dataset))
-    base = fitter.from_scratch(part_of(stage, 0, 3))
-    stage(1, 3)
-    scene = fitter.scene(base)
-    starts = screen(fitter, base, effects, len(effects), scene, 1, rng).start
-    error = base.likelihood.error
-    guesses = [
-        fitter.start_of(effect, effect.start_values(scene)[int(start)], error, base)
-        for effect, start in zip(effects, starts, strict=True)
-    ]
-    found = fitter.with_effects(effects, error, base, np.concatenate(guesses), afresh=True)
-    if found is None:
-        raise DatasetError(
-            f"the model with {', '.join(effect.name for effect in effects)} cannot be fitted to dataset"
-            f" {dataset.name}: its rollouts do not converge, or their derivatives overflow"
-        )
-    stage(2, 3)
-    error = estimate_errors(found, fitter.noise)
-    found = fitter.with_effects(effects, error, found, found.values) or found
-    stage(3, 3)
-    return found
+    @classmethod
+    def of(
+        cls, dataset: PushDataset, observations: Sequence[Observation], progress: StageProgress
+    ) -> EffectSearch:
+        """Fit the model without effects.
+
+        Raises:
+            DatasetError: the pushes cannot be computed.
+        """
+        fitter = Fitter(dataset, observations, sensor_noise(dataset))
+        return cls(fitter, fitter.from_scratch(progress))
+
+    def find(self, effects: Sequence[Effect], rng: np.random.Generator, progress: StageProgress) -> Fitted:
+        """Fit the model with all of some effects.
+
+        Args:
+            effects: at least one.
+
+        Raises:
+            DatasetError: the model with the effects cannot be fitted.
+            EffectError: a formula cannot be used.
+        """
+        progress(0, 2)
+        fitter, base = self.fitter, self.base
+        scene = fitter.scene(base)
+        starts = screen(fitter, base, effects, len(effects), scene, 1, rng).start
+        error = base.likelihood.error
+        guesses = [
+            fitter.start_of(effect, effect.start_values(scene)[int(start)], error, base)
+            for effect, start in zip(effects, starts, strict=True)
+        ]
+        found = fitter.with_effects(effects, error, base, np.concatenate(guesses), afresh=True)
+        if found is None:
+            raise DatasetError(
+                f"the model with {', '.join(effect.name for effect in effects)} cannot be fitted to dataset"
+                f" {fitter.dataset.name}: its rollouts do not converge, or their derivatives overflow"
+            )
+        progress(1, 2)
+        error = estimate_errors(found, fitter.noise)
+        found = fitter.with_effects(effects, error, found, found.values) or found
+        progress(2, 2)
+        return found

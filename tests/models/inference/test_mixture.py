@@ -16,7 +16,7 @@ from slipmap.models.effects.effect import columns_of
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.procedure import diagnose
-from slipmap.models.inference.diagnosis.refits import find_effects
+from slipmap.models.inference.diagnosis.refits import EffectSearch
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import LAW_EFFECTS, beside_slope, effect_prior
 from slipmap.models.inference.gauss_newton import fit
@@ -279,14 +279,14 @@ def test_hypotheses_have_effects_or_their_rivals(recorded, tmp_path) -> None:  #
 
 def test_a_rival_that_cannot_be_fitted_is_left_out(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     dataset = made_by(recorded, heldout=0).with_fit_pushes(2)
-    own = find_effects
+    own = EffectSearch.find
 
-    def fails(dataset, observations, effects, *rest):  # type: ignore[no-untyped-def]
+    def fails(search, effects, *rest):  # type: ignore[no-untyped-def]
         if EFFECTS["tether"] in effects:
             raise DatasetError("it cannot be fitted")
-        return own(dataset, observations, effects, *rest)
+        return own(search, effects, *rest)
 
-    monkeypatch.setattr("slipmap.models.inference.diagnosis.refits.find_effects", fails)
+    monkeypatch.setattr(EffectSearch, "find", fails)
     found = identify(dataset, ["table_tilt"], hypotheses=2, friction_laws=False, rivals=[["tether"]])
     assert [effect.name for effect in found.belief.effects] == ["table_tilt"]
     with pytest.raises(DatasetError, match="cannot be fitted"):
