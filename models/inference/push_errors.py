@@ -81,14 +81,6 @@ LEAST_MISFIT = 0.25
 of cases. Without it, a push that touches nothing could outweigh all others in a mean of logarithms."""
 
 
-def least_misfit(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Misfits (L,) below which two models meet pushes equally well, from those that their spreads cause.
-
-    A push near balance may end far from where either model says, and within what both leave open.
-    """
-    return np.maximum(LEAST_MISFIT, np.minimum(first, second))
-
-
 @dataclass(frozen=True)
 class Paired:
     """Push-by-push comparison of two models' misfits on the same pushes."""
@@ -102,13 +94,9 @@ class Paired:
     high: float  # upper end; infinite with fewer than two pushes
 
     @classmethod
-    def of(cls, first: FloatArray, second: FloatArray, least: FloatArray | float = LEAST_MISFIT) -> Paired:
-        """Compare misfits (L,) of the two models; at least one push.
-
-        Args:
-            least: misfits (L,) below which a push counts as equally well met.
-        """
-        logs = np.log(np.maximum(second, least)) - np.log(np.maximum(first, least))
+    def of(cls, first: FloatArray, second: FloatArray) -> Paired:
+        """Compare misfits (L,) of the two models; at least one push."""
+        logs = np.log(np.maximum(second, LEAST_MISFIT)) - np.log(np.maximum(first, LEAST_MISFIT))
         mean = float(logs.mean())
         if len(logs) < 2:
             return cls(float(np.exp(mean)), 0.0, float("inf"))

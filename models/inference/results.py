@@ -11,7 +11,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction
-from slipmap.models.inference.push_errors import Paired, least_misfit
+from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.summaries import decimals
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -112,10 +112,10 @@ class Identification:
         if self.without_effects is None:
             return None
         first, second = (
-            np.array([(p.errors.misfit, p.spread_misfit) for p in learned.pushes if p.role == self.judges]).T
+            np.array([push.errors.misfit for push in learned.pushes if push.role == self.judges])
             for learned in (self.without_effects, self)
         )
-        return Paired.of(first[0], second[0], least_misfit(first[1], second[1]))
+        return Paired.of(first, second)
 
     @property
     def verdict(self) -> str:

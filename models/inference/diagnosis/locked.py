@@ -14,7 +14,7 @@ from slipmap.models.inference.identification import with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.prediction import predicted_motion
 from slipmap.models.inference.prior import MapPrior
-from slipmap.models.inference.push_errors import Errors, Paired, errors, least_misfit
+from slipmap.models.inference.push_errors import Errors, Paired, errors
 from slipmap.models.inference.results import Identification
 from slipmap.models.inference.together import JointFit, Taught
 from slipmap.models.measurements import DatasetError, PushDataset, Trial
@@ -53,9 +53,12 @@ class LockedErrors:
         path, final, misfit = (np.array([getattr(error, name) for error in errors]) for name in names)
         return cls(path, final, misfit, np.array(spread))
 
-    def to(self, other: LockedErrors) -> Paired:
-        """Compare the misfits with another model's on the same pushes, as far as both determine them."""
-        return Paired.of(self.misfit, other.misfit, least_misfit(self.spread, other.spread))
+    def as_far_as_told_by(self, other: LockedErrors) -> LockedErrors:
+        """The same, with misfits of at least what this model and another one both leave open.
+
+        A push near balance may end far from where either says, and within what both leave open.
+        """
+        return replace(self, misfit=np.maximum(self.misfit, np.minimum(self.spread, other.spread)))
 
     @property
     def ends_only(self) -> bool:

@@ -18,6 +18,7 @@ from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_error
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import AT_NOISE, Objection, typical_misfit
 from slipmap.models.inference.identifiability import coarse_cells
+from slipmap.models.inference.push_errors import Paired
 from slipmap.models.inference.results import Identification, Quantity
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.contact import common_cause, contact_rows
@@ -329,7 +330,7 @@ def _wrong_mass(
     learned = free_mass()
     errors, mass = locked_errors(learned), _total_mass(learned)
     assert errors is not None
-    if mass.low <= dataset.mass <= mass.high or after.to(errors).ratio > _AS_WELL:
+    if mass.low <= dataset.mass <= mass.high or Paired.of(after.misfit, errors.misfit).ratio > _AS_WELL:
         return None
     return (
         f"A wrong object.mass would look like {named}: with {mass.low:.2g} to {mass.high:.2g} kg instead of"
@@ -357,7 +358,7 @@ def _contradicted_mass(
     learned = free_mass()
     errors, mass = locked_errors(learned), _total_mass(learned)
     assert errors is not None
-    paired = before.to(errors)
+    paired = Paired.of(before.misfit, errors.misfit)
     if mass.low <= dataset.mass <= mass.high or paired.verdict != "for":
         return None
     return (

@@ -11,7 +11,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
-from slipmap.models.inference.push_errors import LEAST_MISFIT, least_misfit
+from slipmap.models.inference.push_errors import LEAST_MISFIT, Paired
 from slipmap.models.inference.results import Identification, holds_null
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -368,7 +368,7 @@ def objections(
             after is None
             or locked_pushes_object(False, before, after)
             or locked_pushes_stay_off(before, after)
-        ) and any(other.to(after).ratio < 1.0 + _LEAST_HELP for other in supported)
+        ) and any(Paired.of(other.misfit, after.misfit).ratio < 1.0 + _LEAST_HELP for other in supported)
 
     def weak(against: Objection) -> bool:
         return against.reason == "not better" or (against.reason == "holds null" and against.effect is None)
@@ -380,24 +380,29 @@ def locked_pushes_object(rough: bool, before: LockedErrors | None, after: Locked
     """Whether the locked pushes contradict an answer or, if `rough`, do not clearly support it.
 
     Their misfit must fall: its geometric mean and, near the noise, also its root mean square. If `rough`, or
-    if it falls only slightly, it must fall by more than the scatter from push to push explains.
+    if it falls only slightly, it must fall by more than the scatter from push to push explains. They object
+    only if they also do so where nothing counts that both models leave open.
     """
     if before is None or after is None:
         return False
-    paired = before.to(after)
+    told = before.as_far_as_told_by(after), after.as_far_as_told_by(before)
+    return _misfits_object(rough, before, after) and _misfits_object(rough, *told)
+
+
+def _misfits_object(rough: bool, before: LockedErrors, after: LockedErrors) -> bool:
+    """The same, with all misfits as they are."""
+    paired = Paired.of(before.misfit, after.misfit)
     if (rough or paired.ratio > _SLIGHT) and len(before.misfit) > 1:
         return paired.verdict != "for"
     near = before.total_misfit < _FAR_OFF
-    least = least_misfit(before.spread, after.spread)
-    root = [np.square(np.maximum(one.misfit, least)).mean() for one in (before, after)]
-    return paired.ratio >= 1.0 or (near and bool(root[1] >= root[0]))
+    return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
     """Whether locked pushes that are far off stay nearly as far off with the answer."""
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
-    return before.to(after).ratio > 1.0 - _LEAST_HELP
+    return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
 
 
 def _far_behind(learned: Identification, after: LockedErrors) -> bool:

@@ -92,9 +92,7 @@ def test_pushes_speak_for_an_effect_only_where_they_agree_and_its_size_is_clear(
 
     def learned(factors, other=None):  # type: ignore[no-untyped-def]
         pushes = tuple(
-            SimpleNamespace(
-                role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=misfit), spread_misfit=0.0
-            )
+            SimpleNamespace(role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=misfit))
             for misfit in misfits * factors
         )
         return Identification(SimpleNamespace(effects=effects), pushes, facts, 0.0, without_effects=other)  # type: ignore[arg-type]
@@ -109,8 +107,7 @@ def test_pushes_speak_for_an_effect_only_where_they_agree_and_its_size_is_clear(
 def test_one_push_that_judges_is_told_as_one(capsys) -> None:  # type: ignore[no-untyped-def]
     effects = effects_named(["table_tilt"], LIBRARY)
     facts = (Quantity("table_tilt: down_x", "rad", 0.02, -0.01, 0.03, False, ""),)
-    errors = SimpleNamespace(misfit=2.0)
-    push = SimpleNamespace(role="heldout", final_add=1e-3, errors=errors, spread_misfit=0.0)
+    push = SimpleNamespace(role="heldout", final_add=1e-3, errors=SimpleNamespace(misfit=2.0))
     other = Identification(SimpleNamespace(effects=effects), (push,), facts, 0.0)  # type: ignore[arg-type]
     _show_gain(replace(other, without_effects=other), effects)
     said = " ".join(capsys.readouterr().out.split())

@@ -57,6 +57,14 @@ def test_a_push_that_is_left_open_does_not_object(spread, objects):
     before = errors(1.5, 1.4, 1.6, 3.0, spread=spread)
     after = errors(1.0, 0.9, 1.1, 4.6, spread=spread)
     assert locked_pushes_object(False, before, after) is objects
+    # What only one of the models leaves open still counts.
+    assert locked_pushes_object(False, before, errors(1.0, 0.9, 1.1, 4.6, spread=0.4))
+
+
+def test_improvements_count_though_they_are_left_open():
+    before = errors(4.6, 2.4, 1.8, 25.6, spread=(2.2, 2.0, 2.7, 8.7))
+    after = errors(1.1, 1.1, 1.0, 2.4, spread=(1.1, 1.3, 2.3, 3.1))
+    assert not locked_pushes_object(True, before, after)
 
 
 @pytest.mark.parametrize(
