@@ -425,6 +425,7 @@ def test_a_closer_fit_does_not_beat_what_predicts_better():
         (31.7, 2574.0, True),  # a magnet taken for a patch of friction
         (28.6, 976.0, True),
         (18.2, 1699.0, False),  # the true effect, whose exact form differs
+        (20.1, 1889.0, False),
         (107.0, 23579.0, False),
         (11.4, 382.0, False),
         (18.0, 382.0, True),
