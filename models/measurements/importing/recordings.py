@@ -506,7 +506,7 @@ def _by_contact(
         if lag is not None and not lag.by_touch:
             doubts.append(
                 f"{trial.name}: no touch confirms the clock of {channel}; compare contact and force in the"
-                " picture, or give ft_wrench.clock, the seconds to add to its stamps"
+                f" picture, or give {channel}.clock, the seconds to add to its stamps"
             )
     return trial, force_lags
 
