@@ -194,9 +194,9 @@ def test_every_structure_is_tried_with_a_law_that_is_likelier_than_the_plain_one
 
 def test_a_law_does_not_stand_in_for_the_effect_that_is_judged(recorded) -> None:  # type: ignore[no-untyped-def]
     """`identify` finds load transfer by itself, so its errors cannot tell what that effect is worth."""
-    dataset = made_by(recorded, "load_transfer")
+    dataset = made_by(recorded, "load_transfer").with_fit_pushes(5)
     by_itself = identify(dataset, hypotheses=2)
-    assert by_itself.friction_laws["load_transfer"] > 0.9
+    assert by_itself.friction_laws["load_transfer"] > 0.8
     result = slipmap_fit(dataset, ["load_transfer"], hypotheses=8)
     assert result.without_effects is not None and result.verdict == "for"
     assert not any("load_transfer" in law for law in result.without_effects.friction_laws)
