@@ -384,7 +384,7 @@ class LoadTransfer(Effect):
         bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
         kx = cell.spread_xx * bx + cell.spread_xy * by
         ky = cell.spread_xy * bx + cell.spread_yy * by
-        # No shift at the centre of mass, so that the sum stays the weight, however uneven the object is.
+        # No shift at the centre of mass, so that the sum stays the weight while no cell lifts off.
         com_x = cell.cos * cell.com_x + cell.sin * cell.com_y
         com_y = cell.cos * cell.com_y - cell.sin * cell.com_x
         shift = kx * (cell.rx - com_x) + ky * (cell.ry - com_y)

@@ -20,6 +20,7 @@ from slipmap.models.inference.diagnosis.locked import with_locked
 from slipmap.models.inference.diagnosis.results import JointIdentification
 from slipmap.models.inference.diagnosis.several import check_together, fit_together
 from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.friction_laws import laws_without
 from slipmap.models.inference.hypotheses import unexplained_share
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import observe_all
@@ -212,6 +213,8 @@ def compare_with_effects(
 ) -> tuple[Comparison, Comparison]:
     """Compare the models without and with some effects, learned from the same pushes, with all pushes.
 
+    The model without lacks them among its laws of friction too.
+
     Args:
         effects: to add to the model; those of the library may be given by name.
 
@@ -228,7 +231,13 @@ def compare_with_effects(
     added = effects_given(effects)
     models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
     learned = {
-        label: identify(dataset, given, seed=seed, progress=about(label, progress or silent))
+        label: identify(
+            dataset,
+            given,
+            seed=seed,
+            progress=about(label, progress or silent),
+            friction_laws=laws_without(added),
+        )
         for label, given in models.items()
     }
     before, after = (
@@ -307,7 +316,8 @@ def compare_together(
     for k, dataset in enumerate(datasets):
         own = about(dataset.name, report)
         pushes = dataset if fitted is None else with_locked(dataset, fitted.datasets[k].locked)
-        plain = identify(pushes, seed=seed, progress=own)
+        laws = laws_without(effects_given(effects))
+        plain = identify(pushes, seed=seed, progress=own, friction_laws=laws)
         models = {"model" if fitted is None else "without effects": plain}
         if fitted is not None:
             models["with " + " and ".join(fitted.effects)] = fitted.learned[k]

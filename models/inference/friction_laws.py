@@ -69,8 +69,8 @@ def beside_slope(effects: Sequence[Effect], dataset: PushDataset) -> tuple[Effec
     return tuple(e for e in LIBRARY if e.name == "load_transfer" and e.name not in names)
 
 
-def besides(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """What laws may consist of in a model that lacks these effects."""
+def laws_without(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """What laws of friction may consist of in a model that is to lack these effects."""
     lacking = {effect.name for effect in effects}
     return tuple(name for name in LAW_EFFECTS if name not in lacking)
 

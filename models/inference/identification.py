@@ -1,7 +1,8 @@
 """From pushes to a belief: multiple starts, Gauss-Newton on whole trajectories, randomised refits.
 
 Every entry point uses the same estimator. `identify` learns the maps, and effects too where some are given;
-`fit` learns both with and without effects; a diagnosis judges its answer by the same two.
+`fit` learns both with and without effects; a diagnosis judges its answer by the same two. The model without
+effects lacks them among its laws of friction too.
 
 The strict likelihood of the diagnosis finds where effects act (`EffectSearch`). It trusts every row of
 force, and is confident about a total mass that a 2 % error of the force model shifts by a third; whatever is
@@ -16,7 +17,7 @@ import time
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,7 @@ from slipmap.models.effects.registry import effects_given
 from slipmap.models.inference.belief import END_ERRORS, OUTLINE_ERROR, Belief
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.friction_laws import LAW_EFFECTS, besides
+from slipmap.models.inference.friction_laws import LAW_EFFECTS, laws_without
 from slipmap.models.inference.gauss_newton import fit as fit_maps, of_dataset
 from slipmap.models.inference.identifiability import Informed, effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
@@ -91,8 +92,8 @@ def identify(
         prior_settings: the prior of the maps; if None, each of `STRUCTURES` is used, weighted by how well it
             explains the pushes.
         friction_laws: whether to include laws of friction besides the plain one, weighted in the same way
-            (see `friction_laws`), or the effects that these may consist of, of `load_transfer` and
-            `impulse_friction`; takes longer. The method `paper` has only the plain one.
+            (see `friction_laws`), or names of the effects that they may consist of (`load_transfer`,
+            `impulse_friction`); more laws take longer. The method `paper` has only the plain one.
         rivals: other sets of effects that may be there instead of `effects`, such as `[["tether"]]`, weighted
             in the same way: each hypothesis has one set, and the other effects at their nulls. A rival that
             cannot be fitted, or explains the pushes far worse, gets none. Shares are in
@@ -142,10 +143,13 @@ def identify(
 
         count = 1 + len(sets)
         parts = (part_of(partial(report, "finding effects"), place, count) for place in range(count))
-        search = EffectSearch.of(few, fitted, next(parts))
+
+        @cache
+        def search() -> EffectSearch:
+            return EffectSearch.of(few, fitted, next(parts))
 
         def with_effects(wanted: Sequence[Effect]) -> Fitted | None:
-            return search.find(wanted, np.random.default_rng(seed), next(parts)) if wanted else None
+            return search().find(wanted, np.random.default_rng(seed), next(parts)) if wanted else None
 
         found = with_effects(added)
         for other in others:
@@ -280,21 +284,27 @@ def fit(
     """
     result = identify(dataset, effects, hypotheses=hypotheses, seed=seed, progress=progress)
     own = about("without effects", progress or silent)
-    laws = besides(effects_given(effects))
+    laws = laws_without(effects_given(effects))
     plain = identify(dataset, hypotheses=hypotheses, seed=seed, progress=own, friction_laws=laws)
     return replace(result, without_effects=plain)
 
 
 def _laws_given(friction_laws: bool | Collection[str]) -> tuple[str, ...]:
-    """What laws may consist of, checked."""
-    if isinstance(friction_laws, bool):
+    """What laws may consist of, checked.
+
+    Raises:
+        ValueError: neither a bool nor a collection of their names.
+    """
+    if isinstance(friction_laws, bool | np.bool_):
         return LAW_EFFECTS if friction_laws else ()
-    unknown = [name for name in friction_laws if name not in LAW_EFFECTS]
-    if isinstance(friction_laws, str) or unknown:
-        raise ValueError(
-            f"friction_laws must be True, False or some of {', '.join(LAW_EFFECTS)}, got {friction_laws!r}"
-        )
-    return tuple(friction_laws)
+    if isinstance(friction_laws, Collection) and not isinstance(friction_laws, str | bytes):
+        given = tuple(friction_laws)
+        if all(name in LAW_EFFECTS for name in given):
+            return given
+    names = ", ".join(LAW_EFFECTS)
+    raise ValueError(
+        f"friction_laws must be True, False or a list with names of {names}, got {friction_laws!r}"
+    )
 
 
 def _rivals_given(

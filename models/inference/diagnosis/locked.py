@@ -53,8 +53,8 @@ class LockedErrors:
         path, final, misfit = (np.array([getattr(error, name) for error in errors]) for name in names)
         return cls(path, final, misfit, np.array(spread))
 
-    def as_far_as_told_by(self, other: LockedErrors) -> LockedErrors:
-        """The same, with misfits of at least what this model and another one both leave open.
+    def with_open_misfits(self, other: LockedErrors) -> LockedErrors:
+        """The same, each misfit raised to what this model and another one both leave open.
 
         A push near balance may end far from where either says, and within what both leave open.
         """

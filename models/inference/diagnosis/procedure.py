@@ -35,8 +35,8 @@ from slipmap.models.effects.probes import PROBES
 from slipmap.models.effects.registry import candidates_given
 from slipmap.models.inference.diagnosis import outcomes
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.judging import Learning, judged, laws_beside
 from slipmap.models.inference.diagnosis.locked import (
-    LockedErrors,
     locked_errors,
     locked_trials,
     open_trials,
@@ -72,13 +72,12 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     Rules,
     far_above_noise,
     not_outdone,
-    objections,
     typical_misfit,
     with_better_predictors,
     worth_asking,
 )
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.friction_laws import LAW_EFFECTS, TOGETHER, besides
+from slipmap.models.inference.friction_laws import LAW_EFFECTS
 from slipmap.models.inference.identification import learn, with_fewer_cells
 from slipmap.models.inference.observations import Observation, observe_all, to_learn_from
 from slipmap.models.inference.push_errors import repeated_pushes
@@ -88,7 +87,7 @@ from slipmap.models.measurements.push_dataset import check_dataset_given
 from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, StageProgress, about, side_by_side, silent
+from slipmap.models.progress import Progress, StageProgress, side_by_side, silent
 from slipmap.models.settings import check_whole
 
 
@@ -146,48 +145,32 @@ def diagnose(
         return inquiry, inquiry.run()
 
     # What `identify` and `fit` learn from the same pushes.
-    learned_with = partial(learn, divided, everything, seed=seed)
+    learning = Learning(partial(learn, divided, everything, seed=seed), report)
+    tasks: list[Callable[[], Any]] = [inquire, partial(learning.of, [None], LAW_EFFECTS)]
+    (inquiry, outcome), (without,) = side_by_side(tasks)
 
-    tasks: list[Callable[[], Any]] = [inquire, partial(learned_with, None, report=silent)]
-    (inquiry, outcome), without = side_by_side(tasks)
-    before = locked_errors(without)
-
-    @cache
-    def lacking(laws: tuple[str, ...]) -> Identification:
-        """What is learned without effects where laws of friction consist of these at most."""
-        barred = set(LAW_EFFECTS).difference(laws)
-        allowed = all(barred.isdisjoint(law.split(TOGETHER)) for law in without.friction_laws)
-        return without if allowed else learned_with(None, report=silent, laws=laws)
-
-    def judged(
-        answer: Outcome, baseline: LockedErrors | None, rough: bool
-    ) -> tuple[Outcome, list[Identification], LockedErrors | None]:
-        # A law of friction may be the very effect that is judged.
-        laws = besides([effect for rival in answer.rivals for effect in rival.effects])
-        if before is not None and baseline is before:
-            baseline = locked_errors(lacking(laws))
-        return _judged(inquiry, partial(learned_with, laws=laws), answer, baseline, rough)
-
-    outcome, learned, least = judged(outcome, before, inquiry.rough)
+    judge = partial(judged, inquiry, learning)
+    outcome, learned, tried = judge(outcome, [], inquiry.rough)
     by_evidence = cache(partial(inquiry.by_evidence, with_locked(few, locked), seed))
-    second = None if quick or before is None else inquiry.second_beside_first(by_evidence)
+    second = None if quick or not locked else inquiry.second_beside_first(by_evidence)
     if second is not None:
-        found, with_it, _ = judged(second, least, True)
+        found, with_it, _ = judge(second, tried, True)
         if found.rivals:
             outcome, learned = found, with_it
         else:
             outcome = replace(outcome, objections={**outcome.objections, **found.objections})
-    if not (outcome.rivals or outcome.fault or quick) and before is not None:
+    if not (outcome.rivals or outcome.fault or quick) and locked:
         for again in by_evidence():
-            found, with_it, _ = judged(again, before, inquiry.rough)
+            found, with_it, _ = judge(again, [], inquiry.rough)
             if found.rivals:
                 outcome, learned = found, with_it
                 break
-    without = lacking(besides([effect for rival in outcome.rivals for effect in rival.effects]))
+    laws = laws_beside(outcome.rivals)
+    (without,) = learning.of([None], laws)
     before = locked_errors(without)
     outcome = inquiry.in_view_of(None if before is None else before.misfit, outcome)
     after = locked_errors(learned[0]) if learned else None
-    free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed)
+    free_mass = partial(learn, replace(divided, mass=None), everything, None, seed=seed, laws=laws)
     outcome = with_other_causes(outcome, dataset, without, before, after, free_mass)
     return Diagnosis(
         **vars(outcome),
@@ -204,43 +187,6 @@ def diagnose(
         seconds=time.perf_counter() - started,
         seed=seed,
     )
-
-
-def _judged(
-    inquiry: Inquiry,
-    learned_with: Callable[..., Identification],
-    answer: Outcome,
-    baseline: LockedErrors | None,
-    rough: bool,
-) -> tuple[Outcome, list[Identification], LockedErrors | None]:
-    """An answer without rivals that the locked pushes contradict, what is learned with the rest, and the
-    smallest locked errors, with any of the rivals or of the baseline.
-
-    It must predict them better than the baseline; if `rough`, by more than the scatter from push to push.
-    If only pairs are contradicted, some by an effect that may be zero, the other ones are judged alone.
-
-    Args:
-        learned_with: learns a model with a rival from the pushes that are not locked.
-    """
-    told = about("with effects", inquiry.report)  # the progress of the first
-    learned = side_by_side([
-        partial(learned_with, rival, report=silent if place else told)
-        for place, rival in enumerate(answer.rivals)
-    ])  # fmt: skip
-    with_each = {
-        outcomes.name_of(rival): (rival.effects, own, locked_errors(own))
-        for rival, own in zip(answer.rivals, learned, strict=True)
-    }
-    against = objections(with_each, rough, baseline)
-    kept = outcomes.without_those_objected_to(answer, against, inquiry.base, inquiry.first)
-    needed = [] if kept.rivals else inquiry.without_needless(answer.rivals, against)
-    if needed:
-        found, with_needed, least = _judged(inquiry, learned_with, outcomes.one_of(needed), baseline, rough)
-        if found.rivals:
-            return replace(found, objections={**kept.objections, **found.objections}), with_needed, least
-    every = [one for one in (baseline, *(errors for *_, errors in with_each.values())) if one is not None]
-    least = min(every, key=lambda one: typical_misfit(one.misfit), default=None)
-    return kept, [with_each[outcomes.name_of(rival)][1] for rival in kept.rivals], least
 
 
 _FIRSTS_TRIED = 2

@@ -381,28 +381,32 @@ def locked_pushes_object(rough: bool, before: LockedErrors | None, after: Locked
 
     Their misfit must fall: its geometric mean and, near the noise, also its root mean square. If `rough`, or
     if it falls only slightly, it must fall by more than the scatter from push to push explains. They object
-    only if they also do so where nothing counts that both models leave open.
+    only if they also do so with each misfit raised to what both models leave open.
     """
     if before is None or after is None:
         return False
-    told = before.as_far_as_told_by(after), after.as_far_as_told_by(before)
-    return _misfits_object(rough, before, after) and _misfits_object(rough, *told)
-
-
-def _misfits_object(rough: bool, before: LockedErrors, after: LockedErrors) -> bool:
-    """The same, with all misfits as they are."""
-    paired = Paired.of(before.misfit, after.misfit)
-    if (rough or paired.ratio > _SLIGHT) and len(before.misfit) > 1:
-        return paired.verdict != "for"
     near = before.total_misfit < _FAR_OFF
-    return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)
+
+    def object_to(before: LockedErrors, after: LockedErrors) -> bool:
+        paired = Paired.of(before.misfit, after.misfit)
+        if (rough or paired.ratio > _SLIGHT) and len(before.misfit) > 1:
+            return paired.verdict != "for"
+        return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)
+
+    return object_to(before, after) and object_to(*_with_open_misfits(before, after))
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
-    """Whether locked pushes that are far off stay nearly as far off with the answer."""
+    """Whether locked pushes that are far off stay nearly as far off with the answer, also with each misfit
+    raised to what both models leave open."""
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
-    return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
+    pairs = (before, after), _with_open_misfits(before, after)
+    return all(Paired.of(one.misfit, other.misfit).ratio > 1.0 - _LEAST_HELP for one, other in pairs)
+
+
+def _with_open_misfits(before: LockedErrors, after: LockedErrors) -> tuple[LockedErrors, LockedErrors]:
+    return before.with_open_misfits(after), after.with_open_misfits(before)
 
 
 def _far_behind(learned: Identification, after: LockedErrors) -> bool:

@@ -15,15 +15,16 @@ from slipmap.models.effects import LIBRARY, EffectError
 from slipmap.models.effects.effect import columns_of
 from slipmap.models.inference import mixture
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.comparison import compare_with_effects
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.refits import EffectSearch
 from slipmap.models.inference.diagnosis.several import fit_together
 from slipmap.models.inference.friction_laws import (
     LAW_EFFECTS,
     beside_slope,
-    besides,
     combinations,
     effect_prior,
+    laws_without,
 )
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.hypotheses import FINE_ERROR, trusting
@@ -200,6 +201,8 @@ def test_a_law_does_not_stand_in_for_the_effect_that_is_judged(recorded) -> None
     result = slipmap_fit(dataset, ["load_transfer"], hypotheses=8)
     assert result.without_effects is not None and result.verdict == "for"
     assert not any("load_transfer" in law for law in result.without_effects.friction_laws)
+    compared, _ = compare_with_effects(dataset, ["load_transfer"])
+    assert compared.totals["heldout"].model.final_add > 2.0 * by_itself.errors("heldout").mean()
     found = diagnose(dataset, effects=["load_transfer", "viscous_friction"], quick=True)
     assert found.effect == "load_transfer" and found.before is not None and found.after is not None
     assert found.after.total_misfit < 0.6 * found.before.total_misfit
@@ -210,14 +213,19 @@ def test_laws_consist_of_what_is_allowed_and_not_given(recorded) -> None:  # typ
     dataset = made_by(recorded)
     transfer, lean = (EFFECTS[name] for name in LAW_EFFECTS)
     assert combinations(dataset, ()) == [(lean,), (transfer,), (transfer, lean)]
-    assert combinations(dataset, (), besides([transfer, EFFECTS["skate"]])) == [(lean,)]
-    assert combinations(dataset, [lean], besides([transfer])) == []
-    assert besides([EFFECTS["skate"]]) == LAW_EFFECTS and besides([lean, transfer]) == ()
+    assert combinations(dataset, (), laws_without([transfer, EFFECTS["skate"]])) == [(lean,)]
+    assert combinations(dataset, [lean], laws_without([transfer])) == []
+    assert laws_without([EFFECTS["skate"]]) == LAW_EFFECTS and laws_without([lean, transfer]) == ()
 
 
-@pytest.mark.parametrize("laws", ["load_transfer", ["viscous_friction"], ["load_transfer", "plain"]])
+@pytest.mark.parametrize(
+    "laws",
+    ["load_transfer", b"", ["viscous_friction"], ["load_transfer", "plain"], None, 1, iter(())],
+)
 def test_unknown_laws_are_refused(recorded, laws) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ValueError, match=r"True, False or some of load_transfer, impulse_friction, got"):
+    with pytest.raises(
+        ValueError, match="True, False or a list with names of load_transfer, impulse_friction, got"
+    ):
         identify(recorded.dataset, hypotheses=2, friction_laws=laws)
 
 

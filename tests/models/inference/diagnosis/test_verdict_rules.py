@@ -61,6 +61,20 @@ def test_a_push_that_is_left_open_does_not_object(spread, objects):
     assert locked_pushes_object(False, before, errors(1.0, 0.9, 1.1, 4.6, spread=0.4))
 
 
+def test_a_push_that_is_left_open_excuses_no_other():
+    """The fourth one is worse, near the noise, whatever the fifth leaves open."""
+    spread = (0.3, 0.3, 0.3, 0.3, 6.0)
+    before, after = errors(*5 * [1.2], spread=spread), errors(0.4, 0.4, 0.4, 4.0, 1.2, spread=spread)
+    assert locked_pushes_object(False, before, after)
+
+
+def test_a_push_that_is_left_open_does_not_hold_the_others_off():
+    spread = (0.4, 0.4, 0.4, 70.0)
+    before, after = errors(1.5, 1.4, 1.6, 20.0, spread=spread), errors(1.0, 1.0, 1.1, 60.0, spread=spread)
+    assert not locked_pushes_object(False, before, after) and not locked_pushes_stay_off(before, after)
+    assert locked_pushes_stay_off(errors(1.5, 1.4, 1.6, 20.0), errors(1.0, 1.0, 1.1, 60.0))
+
+
 def test_improvements_count_though_they_are_left_open():
     before = errors(4.6, 2.4, 1.8, 25.6, spread=(2.2, 2.0, 2.7, 8.7))
     after = errors(1.1, 1.1, 1.0, 2.4, spread=(1.1, 1.3, 2.3, 3.1))
@@ -426,6 +440,8 @@ def test_a_closer_fit_does_not_beat_what_predicts_better():
         (28.6, 976.0, True),
         (18.2, 1699.0, False),  # the true effect, whose exact form differs
         (20.1, 1889.0, False),
+        (22.0, 1100.0, False),
+        (26.0, 1100.0, True),
         (107.0, 23579.0, False),
         (11.4, 382.0, False),
         (18.0, 382.0, True),
