@@ -7,7 +7,7 @@ import pytest
 from hidden_effects import DRAG, LATENCY, TILT, late_and_oily_pushes, tilted_and_oily_pushes, tilted_pushes
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis import procedure as steps
+from slipmap.models.inference.diagnosis import judging, procedure as steps
 from slipmap.models.inference.diagnosis.outcomes import two_at_once
 from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import Diagnosis
@@ -47,13 +47,13 @@ def test_the_parameters_are_those_of_the_common_fit(found):
 
 def test_a_second_effect_is_named_beside_one_that_explains_nearly_all(monkeypatch):
     """By the share of the gain that is left, the lag alone explains these pushes: 41 of 12 000 nats."""
-    asked, objections = [], steps.objections
+    asked, objections = [], judging.objections
 
     def judged(rivals, rough, baseline):
         asked.append((rough, baseline))
         return objections(rivals, rough, baseline)
 
-    monkeypatch.setattr(steps, "objections", judged)
+    monkeypatch.setattr(judging, "objections", judged)
     monkeypatch.setattr(steps.Inquiry, "rough", False)
     found = diagnose(late_and_oily_pushes(), draws=99)
     assert found.sentence == "The model lacks two effects at once: sensor_latency and viscous_friction."
