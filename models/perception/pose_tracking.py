@@ -48,6 +48,7 @@ _REFINED_BESIDE = 2
 _BESIDE_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 3.0, 3.0)
 _DIRECTIONS = 72  # tried in a search of the whole table
 _REFINED = 6  # of these
+_AGAIN, _AT_PLACE = 10, 1e-3  # fits at most until the place moves by less, m
 _APART = np.deg2rad(12.0)
 # If little of the object is seen and its centre lies elsewhere, the search runs along the part that is seen.
 _WHOLE, _SHIFTS = 0.85, np.arange(-80, 81, 20) * 1e-3  # m
@@ -307,23 +308,39 @@ class _Search(NamedTuple):
         angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
         if not self.seen.angle_seen:
             angles = previous[2:]
-        starts = np.array([[*place, angle] for place in middles for angle in angles])
-        off, _, _ = self._misfits(picture, starts, every=3).T
-        chosen: list[FloatArray] = []
         apart = _APART if self.seen.angle_seen else -1.0
-        for k in np.argsort(off, kind="stable"):
-            if all(abs(angle_between(starts[k][2], other[2])) > apart for other in chosen):
-                chosen.append(starts[k])
-            if len(chosen) == _REFINED:
-                break
-        fitted = [self._fitted(picture, start, _FAR_REACHES) for start in chosen]
-        candidates = [one for one in fitted if np.all(np.isfinite(one.fit.covariance))]
+
+        def fitted(places: FloatArray, reaches: Sequence[float]) -> list[_Candidate]:
+            """Fits from the likeliest directions at some places (p, 2)."""
+            starts = np.array([[*place, angle] for place in places for angle in angles])
+            off, _, _ = self._misfits(picture, starts, every=3).T
+            chosen: list[FloatArray] = []
+            for k in np.argsort(off, kind="stable"):
+                if all(abs(angle_between(starts[k][2], other[2])) > apart for other in chosen):
+                    chosen.append(starts[k])
+                if len(chosen) == _REFINED:
+                    break
+            every = [self._fitted(picture, start, reaches) for start in chosen]
+            return [one for one in every if np.all(np.isfinite(one.fit.covariance))]
+
+        candidates = fitted(middles, _FAR_REACHES)
         if not candidates:
             return None
+        # Few fits from afar settle. Where the best one does, a symmetric object fits the other way round too.
+        best = self._settled(picture, min(candidates, key=lambda candidate: candidate.misfit))
+        candidates = [best, *candidates, *fitted(best.fit.pose[None, :2], _NEAR_REACHES)]
         least = min(candidate.misfit for candidate in candidates)
         alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
         best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
-        return self._fitted(picture, best.fit.pose, _NEAR_REACHES)  # the fit from afar may not have settled
+        return self._settled(picture, best)
+
+    def _settled(self, picture: HeightPicture, found: _Candidate) -> _Candidate:
+        """A pose, fitted again until it stays where it is."""
+        for _ in range(_AGAIN):
+            before, found = found, self._fitted(picture, found.fit.pose, _NEAR_REACHES)
+            if np.hypot(*(found.fit.pose - before.fit.pose)[:2]) < _AT_PLACE:
+                break
+        return found
 
     def area(self, mask: Mask) -> float:
         """Area of the pixels that show an object, relative to that of the footprint."""
