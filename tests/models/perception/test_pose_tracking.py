@@ -110,7 +110,8 @@ def test_a_bar_under_the_arm_is_not_found_the_other_way_round(scene, look):
         image = scene.noisy(scene.depth(bar, pose), rng)
         image[arm] = 0.6
         truth = pose_of_frame(seen, np.array(first), np.array(pose))
-        observed = track(image, scene.view, seen, truth + [0.08, -0.05, rng.uniform(0.5, 1.3)], arm)
+        previous = truth + np.array([0.08, -0.05, rng.uniform(0.5, 1.3)])
+        observed = track(image, scene.view, seen, previous, arm)
         if observed.valid:
             found += 1
             assert np.abs(observed.pose - truth).max() < 0.1
