@@ -87,7 +87,7 @@ class Identification(PythonSystem):
         noise: Noise = _NO_NOISE,
         method: str = "gauss-newton",
         effects: Sequence[str] = (),
-        friction_laws: bool | Sequence[str] = True,
+        friction_laws: bool = True,
         hypotheses: int = 20,
         seed: int = 0,
         learned: Callable[[Belief, int], None] | None = None,

@@ -229,14 +229,11 @@ def compare_with_effects(
         ['without effects', 'with table_tilt']
     """
     added = effects_given(effects)
+    report = progress or silent
     models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
     learned = {
         label: identify(
-            dataset,
-            given,
-            seed=seed,
-            progress=about(label, progress or silent),
-            friction_laws=laws_without(added),
+            dataset, given, seed=seed, progress=about(label, report), friction_laws=laws_without(added)
         )
         for label, given in models.items()
     }
@@ -312,11 +309,11 @@ def compare_together(
     check_distinct(datasets)
     report = progress or silent
     fitted = fit_together(datasets, effects, apart=apart, seed=seed, progress=progress) if effects else None
+    laws = laws_without(effects_given(effects))
     found = []
     for k, dataset in enumerate(datasets):
         own = about(dataset.name, report)
         pushes = dataset if fitted is None else with_locked(dataset, fitted.datasets[k].locked)
-        laws = laws_without(effects_given(effects))
         plain = identify(pushes, seed=seed, progress=own, friction_laws=laws)
         models = {"model" if fitted is None else "without effects": plain}
         if fitted is not None:

@@ -31,10 +31,11 @@ class Learning:
     def of(self, models: Sequence[Fitted | None], laws: tuple[str, ...]) -> list[Identification]:
         """What is learned with each model where laws consist of these at most; nothing is learned twice."""
         missing = [one for one in dict.fromkeys(models) if self._find(one, laws) is None]
-        reports = [*[silent] * (len(missing) - 1), about("with effects", self._progress)]
+        told = about("with effects", self._progress)
+        watched = next((one for one in missing if one is not None), None)  # the one whose progress is shown
         tasks = [
-            partial(self._learn, one, laws=laws, report=silent if one is None else own)
-            for one, own in zip(missing, reports, strict=False)
+            partial(self._learn, one, laws=laws, report=silent if one is None or one is not watched else told)
+            for one in missing
         ]
         self._known += [(one, laws, own) for one, own in zip(missing, side_by_side(tasks), strict=True)]
         return [own for one in models if (own := self._find(one, laws)) is not None]

@@ -312,6 +312,16 @@ def test_a_rival_that_cannot_be_fitted_is_left_out(recorded, monkeypatch) -> Non
     assert [effect.name for effect in found.belief.effects] == ["table_tilt"]
     with pytest.raises(DatasetError, match="cannot be fitted"):
         identify(dataset, ["tether"], hypotheses=2, rivals=[["table_tilt"]])
+
+    def nothing_to_start_from(*_):  # type: ignore[no-untyped-def]
+        raise DatasetError("it cannot be computed")
+
+    with monkeypatch.context() as context:
+        context.setattr(EffectSearch, "of", nothing_to_start_from)
+        found = identify(dataset, hypotheses=2, friction_laws=False, rivals=[["table_tilt"], ["tether"]])
+        assert not found.belief.effects
+        with pytest.raises(DatasetError, match="cannot be computed"):
+            identify(dataset, ["table_tilt"], hypotheses=2)
     with pytest.raises(ValueError, match="does not support effects"):
         identify(dataset, method="paper", rivals=[["tether"]])
     for wrong, said in (("tether", "list of lists"), (["tether"], r"write \[\['tether'\]\]")):
