@@ -113,7 +113,7 @@ class FingerKinematics:
             p_WT: (3,) required position of the finger's end, world, m.
             near: (7,) angles for a neighbouring point, rad: the solution is close to them. If None, it is the
                 one nearest to `WORKING_POSTURE`.
-            yaw: direction from the wrist to the finger, rad, kept within 8 degrees; any if None.
+            yaw: direction from the wrist to the finger, rad, kept within 0.3 degrees; any if None.
 
         Raises:
             OutOfReach: no such angles are found within the joints' limits and their margin.
@@ -201,7 +201,7 @@ def _pointing_down(p_WT: FloatArray) -> list[_Held]:
 def _turned(p_WT: FloatArray, yaw: float) -> _Held:
     """A constraint on the side of the finger where the wrist is."""
     behind = FINGER_LENGTH * _ahead(yaw)
-    return np.array([0.0, -FINGER_LENGTH, 0.0]), p_WT - behind, np.full(3, 0.1 * FINGER_LENGTH)
+    return np.array([0.0, -FINGER_LENGTH, 0.0]), p_WT - behind, np.full(3, 0.005 * FINGER_LENGTH)
 
 
 def _ahead(yaw: float) -> FloatArray:

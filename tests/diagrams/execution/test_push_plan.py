@@ -50,6 +50,27 @@ def test_pushes_in_the_middle_of_the_table_can_be_made(kinematics, push):
     np.testing.assert_allclose(tip[:, 2], CONFIG.tip_height, atol=0.1e-3)
 
 
+def turn_of_hand(kinematics, made):
+    """Range of the hand's directions while it pushes, degrees."""
+    pushing = phase_of(made, "pushing").trajectory
+    times = np.linspace(0, pushing.end_time(), 50)
+    return np.degrees(np.ptp(np.unwrap([kinematics.yaw(pushing.value(time)[:, 0]) for time in times])))
+
+
+@pytest.mark.parametrize("begin", [[0.12, 0.17], [-0.2, -0.1], [0.1, -0.28]])
+@pytest.mark.parametrize("angle", [0.5, 2.1, 3.6, 5.2])
+def test_the_hand_does_not_turn_while_it_pushes(kinematics, begin, angle):
+    """It would roll the round finger along the object."""
+    end = begin + 0.2 * np.array([np.cos(angle), np.sin(angle)])
+    assert turn_of_hand(kinematics, plan(kinematics, begin, end)) < 1.0
+
+
+def test_the_hand_turns_where_it_could_not_push_otherwise(kinematics):
+    """On this line across the table, no direction of the hand is possible at both ends."""
+    made = plan(kinematics, [0.25, -0.26], [-0.07, 0.3])
+    assert turn_of_hand(kinematics, made) > 10.0
+
+
 def test_plan_has_no_leaps_and_begins_and_ends_at_home(kinematics):
     made = plan(kinematics, [0, -0.1], [0, 0.05])
     np.testing.assert_allclose(made.at(0.0)[1], HOME, atol=1e-12)
