@@ -28,8 +28,9 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
 
-_STEPS_TO_CHOOSE = 2
-"""Iterations after which one of several starts is followed."""
+_STEPS_TO_CHOOSE, _FOLLOWED = 2, 3
+"""Iterations after which some of several starts are followed, and how many; the one that leads farthest at
+first often ends in another valley."""
 
 MODES = 20
 """Coordinates per map; finer ones cannot be distinguished from noise and cost time."""
@@ -208,7 +209,7 @@ class Fitter:
         """Fit the model with one effect, starting from the maps of a fit with another one.
 
         Args:
-            starts: (G, P) parameters to start from; the one that leads farthest in a few steps is followed.
+            starts: (G, P) parameters to start from; those that lead farthest in a few steps are followed.
             worth: cost above which a fit is useless, and may be given up before its end.
 
         Raises:
@@ -224,9 +225,11 @@ class Fitter:
         mean = np.where(shaping, z, 0.0)
         offsets = np.repeat(near.offsets[None], len(z), axis=0)
         first = fit(likelihood, z, prior_mean=mean, offsets=offsets, iterations=_STEPS_TO_CHOOSE)
-        k = int(np.argmin(first.cost))
-        start = [(first.z[k], first.offsets[k])]
-        return _fitted((effect,), likelihood, start, mean[k], iterations=30, worth=worth)
+        ahead = np.argsort(first.cost, kind="stable")[:_FOLLOWED]
+        return _fitted(
+            (effect,), likelihood, [(first.z[k], first.offsets[k]) for k in ahead], mean[ahead],
+            iterations=30, worth=worth,
+        )  # fmt: skip
 
     def scene(self, base: Fitted) -> Scene:
         """The scene from which effects derive their starting values, given a fit without effects."""
@@ -249,15 +252,20 @@ def _fitted(
 ) -> Fitted:
     """The best fit from several starts, each coordinates (d,) and start offsets (B, 3).
 
+    Args:
+        mean: centre of the prior, (d,), or (K, d) one for each start.
+
     Raises:
         IndexError: there is no start.
     """
     z, offsets = (np.array(parts) for parts in zip(*starts, strict=True))
+    means = np.broadcast_to(mean, z.shape)
     found = fit(
-        likelihood, z, prior_mean=np.tile(mean, (len(z), 1)), offsets=offsets,
+        likelihood, z, prior_mean=means, offsets=offsets,
         iterations=iterations, tolerance=tolerance, worth=worth, progress=progress,
-    ).best()  # fmt: skip
-    return Fitted(effects, likelihood, found.z[0], mean, found.offsets[0], float(found.cost[0]))
+    )  # fmt: skip
+    k = int(np.argmin(found.cost))
+    return Fitted(effects, likelihood, found.z[k], means[k], found.offsets[k], float(found.cost[k]))
 
 
 MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)

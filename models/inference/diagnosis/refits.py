@@ -139,17 +139,19 @@ def _from_maps_of(
     """Candidates refitted once more from the maps of the best refit, where that explains the pushes better.
 
     Maps that were bent to do without any effect may lead the search for the right one into a valley, and
-    that for an effect that acts much like it past this valley.
+    that for an effect that acts much like it past this valley. The best one is refitted too where it has
+    several starts: the one that gains most to first order may lead into another valley than the true one.
 
     Args:
         found: refits so far, by name.
         worth: cost above which a refit is useless.
     """
-    tried = [effect for effect in effects if effect not in best.effects]
+    starts = {effect: effect.start_values(scene) for effect in effects}
+    tried = {effect: own for effect, own in starts.items() if effect not in best.effects or len(own) > 1}
 
     def again(effect: Effect) -> Fitted | None:
         with suppress(RolloutError, np.linalg.LinAlgError):
-            return fitter.from_maps_of(best, effect, effect.start_values(scene), worth)
+            return fitter.from_maps_of(best, effect, tried[effect], worth)
         return None
 
     better = dict(found)
