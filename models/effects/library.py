@@ -260,12 +260,20 @@ class TableFrictionField(Effect):
         return np.asarray((rise + np.hypot(rise, 0.02)) / (1.0 + np.hypot(1.0, 0.02)))
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
-        places = np.array([-0.6, 0.0, 0.6]) * scene.reach
+        # Half the width of the region in which the object's cells were.
+        width = scene.reach + 0.5 * scene.radius
+        places = np.array([-0.5, 0.0, 0.5]) * width
         x0, y0 = scene.center
-        radius = 0.45 * scene.reach
         return [
-            {"patch_x": x0 + x, "patch_y": y0 + y, "patch_radius": radius} for x in places for y in places
+            {"patch_x": x0 + x, "patch_y": y0 + y, "patch_radius": share * width}
+            for share in (0.45, 1.0)
+            for x in places
+            for y in places
         ]
+
+    def far_starts(self) -> list[dict[str, float]]:
+        # Without a patch, nothing says where it is: from the null, the gradient takes its place.
+        return [{"patch": -0.7}, {"patch": 0.7}]
 
 
 class Tether(Effect):

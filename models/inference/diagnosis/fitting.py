@@ -28,7 +28,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
 
-_STEPS_TO_CHOOSE, _FOLLOWED = 2, 3
+_STEPS_TO_CHOOSE, _FOLLOWED = 2, 6
 """Iterations after which some of several starts are followed, and how many; the one that leads farthest at
 first often ends in another valley."""
 

@@ -106,7 +106,7 @@ def refit_candidates(
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
     if not quick:
-        found = _from_maps_of(coarse, best, found, effects, scene, _ceiling(alone.cost, best.cost))
+        found = _from_maps_of(coarse, alone, best, found, effects, scene)
         best = min(found.values(), key=lambda fitted: fitted.cost)
     error = estimate_errors(best, fitter.noise)
     ceiling = _ceiling(alone.cost, best.cost)
@@ -130,28 +130,31 @@ def refit_candidates(
 
 def _from_maps_of(
     fitter: Fitter,
+    base: Fitted,
     best: Fitted,
     found: dict[str, Fitted],
     effects: Sequence[Effect],
     scene: Scene,
-    worth: float,
 ) -> dict[str, Fitted]:
     """Candidates refitted once more from the maps of the best refit, where that explains the pushes better.
 
     Maps that were bent to do without any effect may lead the search for the right one into a valley, and
-    that for an effect that acts much like it past this valley. The best one is refitted too where it has
-    several starts: the one that gains most to first order may lead into another valley than the true one.
+    that for an effect that acts much like it past this valley. Where the best one has several starts, it is
+    refitted too, from the maps of the base: the start that gains most to first order may lead into another
+    valley than the true one.
 
     Args:
+        base: the model without effects.
         found: refits so far, by name.
-        worth: cost above which a refit is useless.
     """
+    worth = _ceiling(base.cost, best.cost)
     starts = {effect: effect.start_values(scene) for effect in effects}
     tried = {effect: own for effect, own in starts.items() if effect not in best.effects or len(own) > 1}
 
     def again(effect: Effect) -> Fitted | None:
         with suppress(RolloutError, np.linalg.LinAlgError):
-            return fitter.from_maps_of(best, effect, tried[effect], worth)
+            near = base if effect in best.effects else best
+            return fitter.from_maps_of(near, effect, tried[effect], worth)
         return None
 
     better = dict(found)
@@ -231,13 +234,19 @@ class EffectSearch:
         progress(0, 2)
         fitter, base = self.fitter, self.base
         scene = fitter.scene(base)
-        starts = screen(fitter, base, effects, len(effects), scene, 1, rng).start
+        first = screen(fitter, base, effects, len(effects), scene, 1, rng).start
         error = base.likelihood.error
+        starts = [effect.start_values(scene) for effect in effects]
         guesses = [
-            fitter.start_of(effect, effect.start_values(scene)[int(start)], error, base)
-            for effect, start in zip(effects, starts, strict=True)
+            fitter.start_of(effect, own[int(k)], error, base)
+            for effect, own, k in zip(effects, starts, first, strict=True)
         ]
         found = fitter.with_effects(effects, error, base, np.concatenate(guesses), afresh=True)
+        if len(effects) == 1 and len(starts[0]) > 1:
+            # As in a diagnosis: the start that gains most to first order may lead into another valley.
+            with suppress(RolloutError, np.linalg.LinAlgError):
+                again = fitter.from_maps_of(base, *effects, *starts, np.inf)
+                found = again if found is None or again.cost < found.cost else found
         if found is None:
             raise DatasetError(
                 f"the model with {', '.join(effect.name for effect in effects)} cannot be fitted to dataset"
