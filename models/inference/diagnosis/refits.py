@@ -245,7 +245,7 @@ class EffectSearch:
         if len(effects) == 1 and len(starts[0]) > 1:
             # As in a diagnosis: the start that gains most to first order may lead into another valley.
             with suppress(RolloutError, np.linalg.LinAlgError):
-                again = fitter.from_maps_of(base, *effects, *starts, np.inf)
+                again = fitter.from_maps_of(base, effects[0], starts[0], np.inf)
                 found = again if found is None or again.cost < found.cost else found
         if found is None:
             raise DatasetError(
