@@ -1,6 +1,7 @@
 """Pushes by the arm of the robot's cell, without camera, compared with the cell-grid model at the true maps.
 
-`python tests/diagrams/station/arm_pushes.py wrench spray_gun` makes sixty random pushes of each object.
+`python tests/diagrams/station/arm_pushes.py wrench spray_gun` makes sixty short and thirty long random pushes
+of each object.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from slipmap.planners.table_push import TablePush
 
 FINGER_RADIUS = 0.008
 SPEED = 0.077  # m/s, as in an exploration
+SHORT, LONG = (0.02, 0.06), (0.15, 0.22)  # m, from first touch
 ROCKS = 1e-4  # rad, tilt of an object that does not lie on its feet
 _SAMPLE = 0.01  # s
 _DOWN = 0.006  # m; the finger's end is lower during a push
@@ -130,16 +132,21 @@ class ArmCell:
         return trial, table[1:][moving, 3]
 
 
-def random_pushes(thing: TrueObject, count: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+def random_pushes(
+    thing: TrueObject, count: int, seed: int, travel: tuple[float, float]
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """Beginnings and ends in the object's frame, (2,) m, and angles of the object, rad.
 
-    They meet the outline at random places, up to 40° from its normal, and go on for 2 to 6 cm.
+    They meet the outline at random places, up to 40° from its normal, and go on for a random distance.
+
+    Args:
+        travel: shortest and longest distance, m.
     """
     rng = np.random.default_rng(seed)
     outline = shapely.orient_polygons(thing.grid.polygon)
     while count:
         share, lean = rng.uniform(0.0, 1.0), rng.uniform(-0.7, 0.7)
-        travel, angle = rng.uniform(0.02, 0.06), rng.uniform(-np.pi, np.pi)
+        length, angle = rng.uniform(*travel), rng.uniform(-np.pi, np.pi)
         place, beside = (
             shapely.get_coordinates(outline.exterior.interpolate(share + more, normalized=True))[0]
             for more in (0.0, 1e-4)
@@ -149,7 +156,7 @@ def random_pushes(thing: TrueObject, count: int, seed: int) -> Iterator[tuple[np
         begin = place - _APPROACH * way
         if outline.distance(shapely.Point(begin)) > 1.1 * FINGER_RADIUS:
             count -= 1
-            yield begin, begin + (_APPROACH + travel) * way, angle
+            yield begin, begin + (_APPROACH + length) * way, angle
 
 
 def main() -> None:
@@ -157,12 +164,16 @@ def main() -> None:
     print("ADD of the ends from the model's: median, 90 %, largest, mm; pushes that rock in more than 10 %")
     for name in sys.argv[1:]:
         cell = ArmCell(name)
-        found = [cell.push(*push) for push in random_pushes(cell.thing, 60, seed=5)]
-        made = [outcome for outcome in found if outcome is not None and outcome.moved > 1e-4]
-        off = 1e3 * np.array([outcome.off for outcome in made])
-        median, most = np.quantile(off, [0.5, 0.9])
-        rocking = sum(outcome.rocking > 0.1 for outcome in made)
-        print(f"{name}: {len(made)} pushes, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock")
+        for what, count, travel in (("short", 60, SHORT), ("long", 30, LONG)):
+            found = [cell.push(*push) for push in random_pushes(cell.thing, count, 5, travel)]
+            made = [outcome for outcome in found if outcome is not None and outcome.moved > 1e-4]
+            off = 1e3 * np.array([outcome.off for outcome in made])
+            median, most = np.quantile(off, [0.5, 0.9])
+            rocking = sum(outcome.rocking > 0.1 for outcome in made)
+            print(
+                f"{name}: {len(made)} {what}, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
