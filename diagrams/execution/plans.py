@@ -29,7 +29,7 @@ from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.models.geometry import angle_between
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.robots import FINGER_RADIUS, GRIP_FORCE, POSITION_LIMITS
+from slipmap.models.robots import ACCELERATION_LIMITS, FINGER_RADIUS, GRIP_FORCE, POSITION_LIMITS
 from slipmap.planners.table_push import TablePush
 
 CLEAR = 0.01  # distance that the arm keeps from everything on its way to the object, m
@@ -39,9 +39,14 @@ LIFT = 0.10  # height to which the object is lifted, m
 
 ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
 """(7,) rad; scaled by one of `_ARCHES` and added half-way to or from a push, it raises the finger."""
-TURNS = np.deg2rad([-30.0, -60.0, -90.0, 30.0, 120.0, -120.0, 60.0, 90.0])
-"""Rotations of the hand about the finger that are tried if it cannot keep its direction along a push, or if
-the arm would come too close to something, rad."""
+TURNS = np.deg2rad([-30.0, 0.0, -60.0, 30.0, -90.0, 120.0, -120.0, 60.0, 90.0])
+"""Rotations of the hand about the finger, rad, that are tried until the hand can keep its direction along a
+push and nothing is too close to the arm. Of the first `_COMPARED`, the one that is easiest on the
+joints is taken."""
+_COMPARED = 4
+_EASY = 0.2
+"""s that a joint may need for braking within the limit of its acceleration, for each m/s of the finger: at
+0.1 m/s it then brakes gently after a fault."""
 
 _ARCHES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 _SAG = 0.02  # m by which the gripper may drop below the safe height between home and push
@@ -70,7 +75,14 @@ class ArmPlanner:
     config: ExecutionConfig
     home: FloatArray  # (7,) joint angles at which it rests between pushes, rad
 
-    def push(self, push: TablePush, q: FloatArray, surroundings: Surroundings | None = None) -> Plan:
+    def push(
+        self,
+        push: TablePush,
+        q: FloatArray,
+        surroundings: Surroundings | None = None,
+        *,
+        any_will_do: bool = False,
+    ) -> Plan:
         """Plan a push: approach, lower, push, rest, retreat slightly, lift and return home.
 
         The hand keeps its direction while it pushes: a round finger that turns with the hand rolls along the
@@ -78,15 +90,15 @@ class ArmPlanner:
         cannot do otherwise, as on most lines across the table.
 
         From `default_arm_base`, 60 of 60 random pushes between points within 0.36 m of W's origin can be made
-        at 0.1 m/s, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning takes 50 ms,
-        with surroundings 70 ms, and up to 0.6 s if the hand must be rotated about the finger because the arm
-        would come too close to its surroundings: the forearm, whose lower side is 6 to 9 cm above the table,
-        then leans to another side.
+        at 0.1 m/s, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning takes 0.1 to
+        0.3 s, and up to 0.6 s if the arm would come too close to its surroundings: the forearm, whose lower
+        side is 6 to 9 cm above the table, then leans to another side.
 
         Args:
             q: (7,) joint angles at which the arm rests now, rad, with the finger above everything on the
                 table.
             surroundings: what the arm keeps away from; nothing if None.
+            any_will_do: take the first plan that is found, instead of one that is easy on the joints.
 
         Raises:
             MotionRefused: a point out of reach, a joint limit in the way, too fast for a joint or the finger,
@@ -104,14 +116,22 @@ class ArmPlanner:
                 surroundings.check(plan, push)
             return plan
 
-        for posture in self._steady(push):
+        easiest: tuple[float, Plan] | None = None
+        for count, posture in enumerate(self._steady(push)):
+            if easiest is not None and count >= _COMPARED:
+                break
             with suppress(MotionRefused):
-                return tried(posture)
-        return tried(self.kinematics.inverse)
+                plan = tried(posture)
+                haste = _haste(plan, push)
+                if haste <= 1.0 or any_will_do:
+                    return plan
+                if easiest is None or haste < easiest[0]:
+                    easiest = haste, plan
+        return tried(self.kinematics.inverse) if easiest is None else easiest[1]
 
     def _steady(self, push: TablePush) -> Iterator[_Inverse]:
-        """Postures between which the hand does not turn: first with the hand between the directions that are
-        best at both ends, then turned from there.
+        """Postures between which the hand does not turn: by each of `TURNS` from halfway between the
+        directions that are best at both ends.
 
         Raises:
             OutOfReach: an end of the push is.
@@ -121,7 +141,7 @@ class ArmPlanner:
             for point in (push.begin, push.end)
         )
         middle = begin + angle_between(end, begin) / 2.0
-        for turn in (0.0, *TURNS):
+        for turn in TURNS:
             yield partial(self.kinematics.inverse, yaw=middle + turn)
 
     def retreat(self, q: FloatArray, speed: FloatArray) -> Plan:
@@ -308,6 +328,14 @@ class _GraspPlace:
             raise MotionRefused(f"while {what} the arm would be {1e3 * least:.0f} mm from something")
 
 
+def _haste(plan: Plan, push: TablePush) -> float:
+    """How fast joints turn during a push, for the finger's speed; above 1 they brake hard after a fault."""
+    (motion,) = (phase.trajectory for phase in plan.phases if phase.mode == "pushing")
+    speeds = motion.MakeDerivative().vector_values(np.linspace(0.0, motion.end_time(), 50))
+    braking_times = np.abs(speeds).max(axis=1) / ACCELERATION_LIMITS
+    return float(braking_times.max()) / (_EASY * push.speed)
+
+
 def _still(q: FloatArray, duration: float) -> Trajectory:
     return PiecewisePolynomial.ZeroOrderHold([0.0, duration], np.column_stack([q, q]))
 
@@ -327,7 +355,7 @@ class ArmChecks:
         """Whether the arm can push an object and return home."""
         planner = ArmPlanner(_kinematics(self.models), self.config, HOME)
         try:
-            planner.push(push, HOME, Surroundings(_clearance(self.table), obstacle))
+            planner.push(push, HOME, Surroundings(_clearance(self.table), obstacle), any_will_do=True)
         except MotionRefused:
             return False
         return True

@@ -11,17 +11,21 @@ from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantValueSource
 
 from slipmap.diagrams.execution.arm_motion import FingerKinematics
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.push_executor import PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig
 from slipmap.diagrams.hardware.guard import PERIOD, CommandGuard, GuardSettings
-from slipmap.diagrams.station.arm import arm_model
+from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink
 
 PUSH = TablePush(np.array([-0.12, 0.02]), np.array([0.06, 0.02]), 0.1)
 MODEL = arm_model()
 KINEMATICS = FingerKinematics(MODEL)
-NEAR = KINEMATICS.inverse(np.array([-0.14, 0.02, 0.10]))
+_PUSHING = (
+    ArmPlanner(KINEMATICS, ExecutionConfig(), HOME).push(PUSH, HOME).phases[2].trajectory.value(0.0)[:, 0]
+)
+NEAR = KINEMATICS.inverse(np.array([-0.14, 0.02, 0.101]), _PUSHING, KINEMATICS.yaw(_PUSHING))
 """(7,) joint angles over the begin of the push, from where it does not take long."""
 
 

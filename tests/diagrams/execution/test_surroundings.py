@@ -27,9 +27,10 @@ from tests.models.physics.sliding_objects import signed_distances
 LENGTH, WIDTH, HEIGHT = 0.361, 0.129, 0.07
 GRID = cells_from_polygon(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [LENGTH / 2, WIDTH / 2], count=60)
 POSE = np.array([0.0623, -0.0193, np.deg2rad(-63.3)])
-ACROSS = np.array([np.sin(POSE[2]), -np.cos(POSE[2])])
-BEHIND = TablePush([0.1275, 0.0448], np.array([0.1275, 0.0448]) + 0.07 * ACROSS, 0.06)
-"""From where the forearm leans over the box."""
+LEANT = np.array([-0.1401, 0.147, -1.6013])
+ACROSS = np.array([-np.sin(LEANT[2]), np.cos(LEANT[2])])
+BEHIND = TablePush([-0.2201, 0.2965], np.array([-0.2201, 0.2965]) + 0.07 * ACROSS, 0.06)
+"""From where the forearm leans over the box, if that lies at `LEANT`."""
 
 
 def surroundings(height=HEIGHT, pose=POSE):
@@ -74,9 +75,9 @@ def distance_in_drake(plan, pose):
 
 def test_the_hand_is_turned_where_the_forearm_would_meet_the_object(kinematics):
     careless = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME)
-    assert distance_in_drake(careless, POSE) < -0.002
-    careful = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, surroundings())
-    assert distance_in_drake(careful, POSE) > APART - 0.002
+    assert distance_in_drake(careless, LEANT) < -0.002
+    careful = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, surroundings(pose=LEANT))
+    assert distance_in_drake(careful, LEANT) > APART - 0.002
     for plan in (careless, careful):
         ends = [plan.phases[2].trajectory.value(time)[:, 0] for time in (0.0, plan.phases[2].duration)]
         places = [kinematics.pose(q).translation()[:2] for q in ends]
@@ -84,7 +85,7 @@ def test_the_hand_is_turned_where_the_forearm_would_meet_the_object(kinematics):
 
 
 def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
-    away = POSE + np.array([-0.3, 0.2, 0.0])
+    away = LEANT + np.array([-0.3, 0.2, 0.0])
     plans = [
         ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, around)
         for around in (None, surroundings(pose=away))
