@@ -1,5 +1,7 @@
 """Plans of pushes: their geometry, limits and refusals, without simulation."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,28 @@ def test_the_hand_does_not_turn_while_it_pushes(kinematics, begin, angle):
     """It would roll the round finger along the object."""
     end = begin + 0.2 * np.array([np.cos(angle), np.sin(angle)])
     assert turn_of_hand(kinematics, plan(kinematics, begin, end)) < 1.0
+
+
+@pytest.mark.parametrize("any_will_do", [False, True])
+def test_of_the_first_directions_the_easiest_on_the_joints_is_taken(kinematics, any_will_do):
+    """On this line all four of them are possible, and the third is the easiest."""
+    planner = ArmPlanner(kinematics, CONFIG, HOME)
+    push = TablePush([-0.22, -0.21], [-0.17, -0.3], 0.1)
+    four = [planner._push_held(posture, push, HOME) for posture in islice(planner._steady(push), 4)]
+    speeds = [np.abs(joint_speeds(phase_of(made, "pushing"))).max(axis=1) for made in four]
+    easiest = int(np.argmin([(each / ACCELERATION_LIMITS).max() for each in speeds]))
+    assert easiest == 2
+    made = planner.push(push, HOME, any_will_do=any_will_do)
+    wanted = four[0 if any_will_do else easiest]
+    np.testing.assert_array_equal(
+        made.at(made.phases[0].duration)[1], wanted.at(wanted.phases[0].duration)[1]
+    )
+
+
+def joint_speeds(phase):
+    """(7, 50) rad/s."""
+    motion = phase.trajectory
+    return motion.MakeDerivative().vector_values(np.linspace(0.0, motion.end_time(), 50))
 
 
 def test_the_hand_turns_where_it_could_not_push_otherwise(kinematics):
