@@ -27,6 +27,13 @@ def test_finger_is_there_and_points_down(kinematics, point):
     assert np.all(np.abs(q) <= POSITION_LIMITS - LIMIT_MARGIN + 1e-9)
 
 
+@pytest.mark.parametrize("turn", [-0.5, -0.25, 0.25])
+def test_the_hand_has_the_direction_that_is_asked_for(kinematics, turn):
+    point = np.array([0.1, -0.05, 0.004])
+    yaw = kinematics.yaw(kinematics.inverse(point)) + turn
+    assert kinematics.yaw(kinematics.inverse(point, yaw=yaw)) == pytest.approx(yaw, abs=0.0055)
+
+
 def test_no_way_to_hold_the_finger_there_is_nearer_to_the_working_posture(kinematics):
     """Turning the elbow about the line from shoulder to wrist keeps the finger in place and leads away."""
     q = kinematics.inverse(np.array([0.05, 0.2, 0.02]))
