@@ -113,7 +113,7 @@ class FingerKinematics:
             p_WT: (3,) required position of the finger's end, world, m.
             near: (7,) angles for a neighbouring point, rad: the solution is close to them. If None, it is the
                 one nearest to `WORKING_POSTURE`.
-            yaw: direction from the wrist to the finger, rad, kept within 0.3 degrees; any if None.
+            yaw: direction from the wrist to the finger, rad, kept within 0.5 degrees; any if None.
 
         Raises:
             OutOfReach: no such angles are found within the joints' limits and their margin.

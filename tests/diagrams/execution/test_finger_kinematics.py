@@ -31,7 +31,7 @@ def test_finger_is_there_and_points_down(kinematics, point):
 def test_the_hand_has_the_direction_that_is_asked_for(kinematics, turn):
     point = np.array([0.1, -0.05, 0.004])
     yaw = kinematics.yaw(kinematics.inverse(point)) + turn
-    assert kinematics.yaw(kinematics.inverse(point, yaw=yaw)) == pytest.approx(yaw, abs=0.0055)
+    assert kinematics.yaw(kinematics.inverse(point, yaw=yaw)) == pytest.approx(yaw, abs=np.deg2rad(0.5))
 
 
 def test_no_way_to_hold_the_finger_there_is_nearer_to_the_working_posture(kinematics):
