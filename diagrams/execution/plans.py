@@ -87,7 +87,7 @@ class ArmPlanner:
 
         The hand keeps its direction while it pushes: a round finger that turns with the hand rolls along the
         object, and the sliding model's finger does not turn. The hand turns on the way only where the arm
-        cannot do otherwise, as on most lines across the table.
+        cannot do otherwise, as on some long lines across the table.
 
         From `default_arm_base`, 60 of 60 random pushes between points within 0.36 m of W's origin can be made
         at 0.1 m/s, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning takes 0.1 to

@@ -26,7 +26,8 @@ _PUSHING = (
     ArmPlanner(KINEMATICS, ExecutionConfig(), HOME).push(PUSH, HOME).phases[2].trajectory.value(0.0)[:, 0]
 )
 NEAR = KINEMATICS.inverse(np.array([-0.14, 0.02, 0.101]), _PUSHING, KINEMATICS.yaw(_PUSHING))
-"""(7,) joint angles over the begin of the push, from where it does not take long."""
+"""(7,) joint angles over the begin of the push, from where it does not take long: at a safe height, and with
+the hand in the direction that it has then."""
 
 
 @dataclass(frozen=True)

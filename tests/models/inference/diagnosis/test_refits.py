@@ -56,10 +56,11 @@ def test_a_tether_is_found_from_the_maps_of_the_tilt_that_it_looks_like(recorded
     assert found.cost < right.cost + 3.0
 
 
-def test_a_patch_is_found_wherever_it_is(recorded):
-    """The gradient takes a patch's place where a search begins without one, or with one far too narrow."""
+def test_patches_are_found_from_both_signs_and_radii(recorded):
+    """From one sign or one radius alone, a gradient or a narrow patch takes its place."""
     (field,) = effects_named(["table_friction_field"])
-    for truth in [(0.0, 0.0, -0.8, -0.011, -0.088, 0.128), (0.0, 0.0, 0.8, -0.105, 0.034, 0.182)]:
+    for patch in [(-0.8, -0.011, -0.088, 0.128), (0.8, -0.105, 0.034, 0.182), (-0.8, 0.041, 0.035, 0.154)]:
+        truth = (0.0, 0.0, *patch)
         dataset = made_by(recorded, values={"table_friction_field": truth}, heldout=0)
         search = EffectSearch.of(dataset, to_learn_from(observe_all(dataset)), quiet)
         found = search.find([field], np.random.default_rng(0), quiet)
