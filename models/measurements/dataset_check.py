@@ -64,7 +64,10 @@ Verdict = Literal["good", "note", "wrong"]
 _MENDED = ("left out", "was cut there into")
 """Words of warnings about what no longer concerns the dataset."""
 _KEY = re.compile(r": ((?:object|finger|table|noise|known|gravity)(?:\.\w+)*)\b")
-_SUBJECTS = (("the finger goes", "contact"), ("the finger starts", "contact"), ("the force", "force"))
+_SUBJECTS = (
+    ("the finger goes", "contact"), ("the finger starts", "contact"), ("the finger turns", "finger"),
+    ("the force", "force"),
+)  # fmt: skip
 _SLOW_RATE = 20.0  # Hz below which contact is hard to see
 _GAP = 0.25  # s without a pose of a moving object
 _WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import shapely
@@ -26,6 +27,7 @@ from slipmap.models.geometry import placed, rotated
 from slipmap.models.inference.observations import observe
 from slipmap.models.measurements.trial import Channel, Trial
 from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.paper_notation import add
 from slipmap.planners.table_push import TablePush
 
@@ -49,7 +51,7 @@ class Outcome:
 
 
 class ArmCell:
-    """A station and an executor. The arm does not keep clear of the object's upper parts."""
+    """A station and an executor, which knows where the object is and how high."""
 
     def __init__(self, name: str) -> None:
         scenario = slipmap.Scenario()
@@ -57,12 +59,14 @@ class ArmCell:
         builder = DiagramBuilder()
         self.station = builder.AddSystem(Station(replace(scenario, object=thing)))
         self.thing = self.station.true_object
-        self._executor = builder.AddSystem(PushExecutor(arm_model(), HOME, scenario.execution))
+        table = scenario.table.make()
+        self._executor = builder.AddSystem(PushExecutor(arm_model(), HOME, scenario.execution, table))
         for port in ("iiwa.position", "gripper.position", "gripper.force_limit"):
             builder.Connect(self._executor.GetOutputPort(port), self.station.GetInputPort(port))
         for port in ("iiwa.position_measured", "iiwa.torque_external"):
             builder.Connect(self.station.GetOutputPort(port), self._executor.GetInputPort(port))
-        builder.ExportInput(self._executor.GetInputPort("push"), "push")
+        for port in ("push", "object_pose", "seen_object"):
+            builder.ExportInput(self._executor.GetInputPort(port), port)
         self._simulator = Simulator(builder.Build())
         take_fixed_steps(self._simulator)
         self._slider = slipmap.Slider(self.thing.grid, finger_radius=FINGER_RADIUS)
@@ -97,7 +101,13 @@ class ArmCell:
         plant.SetFreeBodyPose(of_plant, plant.GetBodyByName(BODY), resting_pose(*pose, sink=sink))
         self._count += 1
         request = ActivePush(self._count, TablePush(placed(begin, pose), placed(end, pose), SPEED))
-        self._simulator.get_system().GetInputPort("push").FixValue(root, Value[object](request))
+        inputs = {
+            "push": request,
+            "object_pose": ObservedPose(pose, np.zeros((3, 3)), valid=True),
+            "seen_object": SimpleNamespace(grid=self.thing.grid, cell_heights=self.thing.height),
+        }
+        for port, value in inputs.items():
+            self._simulator.get_system().GetInputPort(port).FixValue(root, Value[object](value))
         status, context = self._executor.GetOutputPort("status"), self._executor.GetMyContextFromRoot(root)
         steps, rows = [], []
 
@@ -166,12 +176,13 @@ def main() -> None:
         cell = ArmCell(name)
         for what, count, travel in (("short", 60, SHORT), ("long", 30, LONG)):
             found = [cell.push(*push) for push in random_pushes(cell.thing, count, 5, travel)]
+            refused = sum(outcome is None for outcome in found)
             made = [outcome for outcome in found if outcome is not None and outcome.moved > 1e-4]
             off = 1e3 * np.array([outcome.off for outcome in made])
             median, most = np.quantile(off, [0.5, 0.9])
             rocking = sum(outcome.rocking > 0.1 for outcome in made)
             print(
-                f"{name}: {len(made)} {what}, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock",
+                f"{name}: {len(made)} {what}, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock, {refused} refused",
                 flush=True,
             )
 
