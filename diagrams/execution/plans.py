@@ -86,7 +86,7 @@ class ArmPlanner:
         """Plan a push: approach, lower, push, rest, retreat slightly, lift and return home.
 
         The hand keeps its direction while it pushes: a round finger that turns with the hand rolls along the
-        object, and the sliding model's finger does not turn. The hand turns on the way only where the arm
+        object, and pushes are chosen for one that does not. The hand turns on the way only where the arm
         cannot do otherwise, as on some long lines across the table.
 
         From `default_arm_base`, 60 of 60 random pushes between points within 0.36 m of W's origin can be made

@@ -20,6 +20,7 @@ from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.trial import Channel, Role
+from slipmap.models.measurements.trial_tables import turning
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_positive, check_whole
@@ -46,7 +47,7 @@ class _Recording:
 
     trials: tuple[Trial, ...] = ()  # complete trials
     looks: tuple[Row, ...] = ()  # last poses seen while the arm was at home
-    # poses, tips, forces: rows (time, …) of this push; empty before it
+    # poses, tips, forces: rows (time, …) of this push, the finger's with its angle; empty before it
     poses: tuple[Row, ...] = ()
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()
@@ -62,7 +63,10 @@ class _Recording:
 
         name = f"trials/{len(self.trials):03d}.json"
         forces = channel(self.forces) if self.forces else None
-        trial = Trial(name, role, channel(poses), channel(self.tips), forces, order=len(self.trials))
+        pose, finger = channel(poses), channel(self.tips)
+        angle = turning(np.column_stack([finger.time, finger.values]))
+        tip = Channel(finger.time, finger.values[:, :2])
+        trial = Trial(name, role, pose, tip, forces, order=len(self.trials), tip_angle=angle)
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)
 
     def touched(self, rest: Row, share: float = 1.0) -> bool:
@@ -142,7 +146,9 @@ class MeasurementLogger(PythonSystem):
         """The recording with the finger's position, and the new pose if the object was seen."""
         age = self.optional_input(context, "tip_age")
         time = context.get_time() - (0.0 if age is None else float(age[0]))
-        tip = self.input(context, "tip_pose").translation()
+        X_WT = self.input(context, "tip_pose")
+        tip, R_WT = X_WT.translation(), X_WT.rotation().matrix()
+        angle = float(np.arctan2(R_WT[1, 0], R_WT[0, 0]))
         force = self.input(context, "tip_force")
         new = recording
         if not new.tips:
@@ -155,7 +161,7 @@ class MeasurementLogger(PythonSystem):
             return new
         return replace(
             new,
-            tips=(*new.tips, (time, float(tip[0]), float(tip[1]))),
+            tips=(*new.tips, (time, float(tip[0]), float(tip[1]), angle)),
             forces=(*new.forces, (time - TORQUE_LAG, float(force[0]), float(force[1]), 0.0)),
         )
 
@@ -228,7 +234,7 @@ class TrialLogger(PythonSystem):
         center = finger[:2]
         if np.isfinite(center).all():
             self._refuse_jump(now, time, finger)
-            now = replace(now, tips=(*now.tips, (time, *center)))
+            now = replace(now, tips=(*now.tips, (time, *center, 0.0)))
             pose, force = self._pose.Eval(context), self.optional_input(context, "finger_force")
             if np.isfinite(pose).all():
                 now = replace(now, poses=(*now.poses, (time, *pose)))
@@ -245,7 +251,7 @@ class TrialLogger(PythonSystem):
         """Raise ValueError if the finger cannot have come here from where it was a row before."""
         if not now.tips:
             return
-        before, *place = now.tips[-1]
+        before, *place, _ = now.tips[-1]
         moved, took = float(np.hypot(*(finger[:2] - place))), time - before
         if moved > _JUMP + (2.0 * float(np.hypot(*finger[2:])) + _USUAL_SPEED) * took:
             raise ValueError(
@@ -256,8 +262,7 @@ class TrialLogger(PythonSystem):
 
 
 def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
-    tips = tuple((*row, 0.0) for row in recording.tips)
-    return {"object_pose": recording.poses, "tip_pose": tips, "ft_wrench": recording.forces}
+    return {"object_pose": recording.poses, "tip_pose": recording.tips, "ft_wrench": recording.forces}
 
 
 def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:

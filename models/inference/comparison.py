@@ -330,7 +330,10 @@ def compare_together(
 def _measured(dataset: PushDataset) -> list[object]:
     """All that predictions depend on; arrays are equal only if they are the very same."""
     setup = [getattr(dataset, field.name) for field in fields(Setup)]
-    return [*setup, *((trial.name, trial.role, trial.order, trial.channels) for trial in dataset.trials)]
+    return [
+        *setup,
+        *((trial.name, trial.role, trial.order, trial.channels, trial.tip_angle) for trial in dataset.trials),
+    ]
 
 
 def totals(pushes: Sequence[Prediction]) -> Totals:

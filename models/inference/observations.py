@@ -104,8 +104,9 @@ class Observation:
         fine = self.push
         steps = max(8, len(fine.tip) // 2)
         h = fine.h * (len(fine.tip) - 1) / steps
-        tip = interpolated(h * np.arange(steps + 1), fine.h * np.arange(len(fine.tip)), fine.tip)
-        return replace(self, push=replace(fine, h=h, tip=tip))
+        times = h * np.arange(steps + 1), fine.h * np.arange(len(fine.tip))
+        angle = None if fine.tip_angle is None else np.interp(*times, fine.tip_angle)
+        return replace(self, push=replace(fine, h=h, tip=interpolated(*times, fine.tip), tip_angle=angle))
 
     @property
     def without_forces(self) -> Observation:
@@ -170,6 +171,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0, *, reach: flo
         force_times=np.minimum(force_times, steps * step),
         force_span=duration / SAMPLES,
         order=float(order),
+        tip_angle=_angle(trial, np.asarray(ends)) if pushed else None,
     )
     return Observation(
         trial.name, trial.role, push, poses, pose_rows, start_rows, forces, force_rows,
@@ -318,6 +320,15 @@ def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
     used, count = np.unique(place, return_counts=True)
     means = np.array([wrench[place == k, :2].mean(axis=0) for k in used])
     return 0.5 * (edges[used] + edges[used + 1]), means, count.astype(float)
+
+
+def _angle(trial: Trial, times: FloatArray) -> FloatArray | None:
+    """Angle of the finger at times after the first pose, as a mean over 0.1 s, if it turns."""
+    if trial.tip_angle is None:
+        return None
+    own, angle = trial.tip_angle.time, trial.tip_angle.values[:, 0]
+    rows = 1 + round(0.1 / float(np.median(np.diff(own))))
+    return np.interp(times, own - trial.start, uniform_filter1d(angle, rows, mode="nearest"))
 
 
 def _sliding(push: Push, forces: FloatArray) -> np.ndarray:

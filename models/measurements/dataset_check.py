@@ -64,10 +64,7 @@ Verdict = Literal["good", "note", "wrong"]
 _MENDED = ("left out", "was cut there into")
 """Words of warnings about what no longer concerns the dataset."""
 _KEY = re.compile(r": ((?:object|finger|table|noise|known|gravity)(?:\.\w+)*)\b")
-_SUBJECTS = (
-    ("the finger goes", "contact"), ("the finger starts", "contact"), ("the finger turns", "finger"),
-    ("the force", "force"),
-)  # fmt: skip
+_SUBJECTS = (("the finger goes", "contact"), ("the finger starts", "contact"), ("the force", "force"))
 _SLOW_RATE = 20.0  # Hz below which contact is hard to see
 _GAP = 0.25  # s without a pose of a moving object
 _WRONG_SHARE = 0.25  # share of wrong pushes above which the dataset is wrong
@@ -162,7 +159,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         touching = [one for one in rows if one.trial.name not in turned]
         findings[place:place] = clock = _clock_of_finger(judged, touching)
         place += len(clock)
-        findings += [*_depth(judged, touching), *_forces(judged, touching)]
+        findings += [*_depth(judged, touching), *_turning_finger(judged), *_forces(judged, touching)]
     else:
         findings.append(Finding("contact", "not judged, since angles seem to be in degrees", "note"))
     findings += _from_reading(dataset.warnings, findings)
@@ -213,6 +210,14 @@ def _subject(warning: str) -> str:
     if key := _KEY.search(warning):
         return key[1]
     return next((subject for words, subject in _SUBJECTS if words in warning), "reading")
+
+
+def _turning_finger(dataset: PushDataset) -> list[Finding]:
+    turns = [np.ptp(trial.tip_angle.values) for trial in dataset.trials if trial.tip_angle is not None]
+    if not turns:
+        return []
+    text = f"turns by up to {np.degrees(max(turns)):.0f}° in {len(turns)} of {len(dataset.trials)} pushes"
+    return [Finding("finger", f"{text}, and so rolls along the object", "good")]
 
 
 def _rates(dataset: PushDataset) -> list[Finding]:

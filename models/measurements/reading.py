@@ -120,7 +120,8 @@ def dataset_from_arrays(
     Each push is a mapping of its sensors to rows, each sensor with its own times:
 
     - `object_pose`: (T, 4) time (s), x, y (m) and theta (rad) of the object frame in the world frame;
-    - `tip_pose`: (T, 3) time (s), x, y (m) of the finger's centre in the world frame;
+    - `tip_pose`: (T, 3) time (s), x, y (m) of the finger's centre in the world frame, or (T, 4) with the
+      finger's angle about its axis (rad), which counts if it turns;
     - `ft_wrench`, if force was measured: (T, 3) time (s) and force of the finger on the object in the world
       frame (N), or (T, 4) with the torque about the finger's axis (N·m).
 
@@ -187,7 +188,7 @@ def dataset_from_arrays(
 
 _COLUMNS = {
     "object_pose": ((4,), "time s, x m, y m, theta rad"),
-    "tip_pose": ((3, 4), "time s, x m, y m"),
+    "tip_pose": ((3, 4), "time s, x m, y m, perhaps theta rad"),
     "ft_wrench": ((3, 4), "time s, force_x N, force_y N"),
 }
 """Numbers of columns that an array may have, and their meaning."""

@@ -217,7 +217,8 @@ def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | No
         return None
     if float(np.max(_displacement(pose.values, pose.values[0], reach))) < _PUSHED:
         return None
-    return Trial(trial.name, trial.role, pose, tip, channels.get("ft_wrench"))
+    angle = trial.tip_angle and _part(trial.tip_angle, begin, end)
+    return Trial(trial.name, trial.role, pose, tip, channels.get("ft_wrench"), tip_angle=angle)
 
 
 def _part(channel: Channel, begin: float, end: float) -> Channel | None:

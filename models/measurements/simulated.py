@@ -108,7 +108,9 @@ def record_pushes(
         tip = Channel(_ends(push), push.tip).at(push.pose_times)
         poses = Channel(push.pose_times, rollouts.poses_of(index)[0])
         wrench = _wrench(slider.grid, push, poses, rollouts.forces_of(index)[0], rate)
-        force = noise.force or 0.0
+        force, angle = noise.force or 0.0, None
+        if push.tip_angle is not None:
+            angle = Channel(push.pose_times, np.interp(push.pose_times, _ends(push), push.tip_angle)[:, None])
         trials.append(
             Trial(
                 f"trials/{index:03d}.json",
@@ -117,6 +119,7 @@ def record_pushes(
                 _measured(rng, Channel(push.pose_times, tip), [noise.tip, noise.tip]),
                 _measured(rng, wrench, [force, force, force * slider.finger_radius]),
                 order=int(push.order),
+                tip_angle=angle,
             )
         )
     digest = hashlib.sha256()

@@ -105,6 +105,7 @@ class Trial:
         kept: whether it stays in its dataset whatever the checks on reading find.
         order: its place in the experiment as recorded, 0 to 1000000, kept when other trials are left out;
             if None, a dataset gives it that in its `trials`.
+        tip_angle: (T, 1) angle of the finger about its axis, unwrapped, rad; None if it does not turn.
 
     Raises:
         DatasetError: an unknown role, a wrong number of columns, fewer than two object poses, or an order
@@ -125,6 +126,7 @@ class Trial:
     ft_wrench: Channel | None = None
     kept: bool = False
     order: int | None = None
+    tip_angle: Channel | None = None
 
     def __repr__(self) -> str:
         rows = [f"{len(channel.time)} rows of {name}" for name, channel in self.channels.items()]
@@ -146,6 +148,8 @@ class Trial:
             columns, found = len(CHANNELS[what]), channel.values.shape[1]
             if found != columns:
                 raise DatasetError(f"{self.name}: {what} needs {columns} columns besides time, has {found}")
+        if self.tip_angle is not None and self.tip_angle.values.shape[1] != 1:
+            raise DatasetError(f"{self.name}: tip_angle needs one column besides time")
 
     @property
     def channels(self) -> dict[str, Channel]:

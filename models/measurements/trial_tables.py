@@ -19,8 +19,8 @@ _LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
 LONGEST_PUSH = 1000.0  # s
 _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
-_STARTED = 1e-3  # m between a moving object and where it lies before and after
-_TURNS = 0.1  # rad, turn of the finger that is noticed
+_TURNS = 0.05  # rad, turn of a finger that counts
+_LARGEST_ANGLE = 1e3  # rad
 
 IN_DEGREES = "Angles must be in rad; were these degrees?"
 
@@ -44,8 +44,7 @@ def trial_from_tables(
     empty `ft_wrench` counts as not measured.
 
     Args:
-        tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip only warns of a finger
-            that turns.
+        tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau.
         where: the file, for error messages.
         longest: longest duration of the trial, s.
 
@@ -66,12 +65,12 @@ def trial_from_tables(
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
     tip, rows = _channel(tables, "tip_pose", where)
     tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
-    warnings += doubts + _turning(tables["tip_pose"], pose, f"{where}, tip_pose")
+    warnings += doubts
     refuse_long(pose, where, longest)
     wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
     if len(pose.time) < 2:
         raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
-    return Trial(name, role, pose, tip, wrench), warnings
+    return Trial(name, role, pose, tip, wrench, tip_angle=turning(tables["tip_pose"])), warnings
 
 
 def refuse_long(pose: Channel, where: str, longest: float = LONGEST_PUSH) -> None:
@@ -108,20 +107,13 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
     return channel.chosen(kept), warnings
 
 
-def _turning(tip: FloatArray, pose: Channel, where: str) -> list[str]:
-    """Warning if the finger, rows (T, 3) or (T, 4) of t, x, y, theta, turns while the object moves."""
-    place = pose.values[:, :2]
-    under_way = [np.linalg.norm(place - place[end], axis=1) > _STARTED for end in (0, -1)]
-    if tip.shape[1] < COLUMNS or not (moving := pose.time[under_way[0] & under_way[1]]).size:
-        return []
-    time, theta = tip[:, 0], tip[:, 3]
-    known = (time >= moving[0]) & (time <= moving[-1]) & (np.abs(theta) < _WHOLE_TURN)  # -9999 is no angle
-    if not known.any() or (turn := float(np.ptp(unwrapped(theta[known])))) < _TURNS:
-        return []
-    return [
-        f"{where}: the finger turns by {np.degrees(turn):.0f}° while the object moves; keep the direction of"
-        " the hand in a push, since the model's finger does not turn, and a round one rolls along the object"
-    ]
+def turning(tip: FloatArray) -> Channel | None:
+    """The angle of a finger, rows (T, 3) or (T, 4) of t, x, y, theta; None if it does not turn."""
+    if tip.shape[1] < COLUMNS:
+        return None
+    tip = tip[np.isfinite(tip).all(axis=1) & (np.abs(tip[:, 3]) < _LARGEST_ANGLE)]  # -9999 is no angle
+    angle = unwrapped(tip[:, 3])
+    return Channel(tip[:, 0], angle[:, None]) if len(angle) and np.ptp(angle) > _TURNS else None
 
 
 def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:

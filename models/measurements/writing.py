@@ -105,13 +105,15 @@ def _write_files(dataset: PushDataset, folder: Path) -> None:
 
 def trial_text(trial: Trial) -> str:
     """The content of a trial's file."""
-    record = {name: _rows(channel) for name, channel in trial.channels.items()}
+    record = {name: _rows(channel, trial.tip_angle) for name, channel in trial.channels.items()}
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
-def _rows(channel: Channel) -> list[list[float]]:
-    """Rows of four columns; the angle of a tip is 0."""
+def _rows(channel: Channel, tip_angle: Channel | None) -> list[list[float]]:
+    """Rows of four columns; the angle of a tip that does not turn is 0."""
     missing = np.zeros((len(channel.time), 3 - channel.values.shape[1]))
+    if missing.size and tip_angle is not None:
+        missing = tip_angle.at(channel.time)
     return np.column_stack([channel.time, channel.values, missing]).tolist()
 
 

@@ -7,8 +7,8 @@ contact", 2022, the model behind Drake's SAP):
     y_n = -(gap⁺ + τ (gap⁺ - gap) / h) / (h R),   1/R_n = (1 + τ/h) / R,   y_t = v_t / R_t,
     γ = argmin over |γ_t| <= mu γ_n of |γ - y|² in the metric (R_n, R_t),
 
-with the gap at the start and at the end of the step and the finger's tangential speed v_t relative to the
-object.
+with the gap at the start and at the end of the step and the tangential speed v_t of the finger's surface
+relative to the object. A finger of radius R that turns at omega_f moves its surface there by -R omega_f.
 
 The impulse is the gradient of a convex function of the object's twist, so the step stays convex. Both
 regularisations scale with the object's total friction load F, so the motion does not depend on the units of
@@ -77,7 +77,7 @@ class Contact(NamedTuple):
     nw: float
     tw: float
     closing: float  # normal speed at which the step would end exactly in touch, m/s
-    drag: float  # tangential speed of the finger, m/s
+    drag: float  # tangential speed of the finger's surface, m/s
     # turn, slide: see `CONTACT_COLUMNS`
     turn: float
     slide: float

@@ -169,10 +169,11 @@ def take_step(  # type: ignore[no-untyped-def]
     bend_x, bend_y = terms.bend
     tip0 = (push.tip[number, 0] - bend_x, push.tip[number, 1] - bend_y)
     tip1 = (push.tip[number + 1, 0] - bend_x, push.tip[number + 1, 1] - bend_y)
-    frame = Frame(middle_cos, middle_sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    frame = Frame(middle_cos, middle_sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     count = 0
     if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
-        frame = middle_frame(motion.x, motion.y, cos, sin, quarter, v, h, tip0, tip1)
+        rolling = common.radius * (push.tip[number + 1, 2] - push.tip[number, 2]) / h
+        frame = middle_frame(motion.x, motion.y, cos, sin, quarter, v, h, tip0, tip1, rolling)
         gain = 0.0
         if bend_x != 0.0 or bend_y != 0.0:
             frame = bent_frame(frame, bend_x, bend_y, max(h, FINGER_SETTLING))
@@ -527,7 +528,7 @@ def single_steps(  # type: ignore[no-untyped-def]
         maps: fields of `ReducedMaps`.
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
         table: (1, 1, 7) `Rim.top`, or None.
-        drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
+        drive: h, tip (2, 3) with its angle, NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the rest of the effects' memory.
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
             was not solved.

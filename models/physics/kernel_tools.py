@@ -49,7 +49,8 @@ class JoinedPushes(NamedTuple):
     """B pushes end to end; `*_at` (B + 1,) are the offsets at which each begins."""
 
     h: FloatArray  # (B,) steps, s
-    # tip, wrench: as in `Push`; a push without a wrench has no rows there
+    # tip, wrench: as in `Push`, with `tip_angle` as the tip's third column; a push without a wrench has no
+    # rows there
     tip: FloatArray
     tip_at: IntArray
     wrench: FloatArray

@@ -24,6 +24,7 @@ class Push:
     Attributes:
         h: step, s.
         tip: (N + 1, 2) finger centre at the ends of the steps, world, m; NaN where there is no finger.
+        tip_angle: (N + 1,) angle of the finger about its axis, rad, if it turns: it rolls along the object.
         start_pose: (3,) x, y, θ in the world.
         start_twist: (3,) v_x, v_y, omega in the object frame.
         pose_times: (S,) ascending times from the start at which poses are wanted, s; by default the ends of
@@ -56,6 +57,7 @@ class Push:
     wrench: FloatArray | None = None
     order: float = 0.0
     force_span: float = 0.0
+    tip_angle: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.h) and self.h > 0):
@@ -95,6 +97,13 @@ class Push:
                     f"push: {name} must be a 1-D array of ascending times between 0 and {end:.6g} s"
                 )
             object.__setattr__(self, name, value)
+        if self.tip_angle is not None:
+            angle = np.ascontiguousarray(self.tip_angle, dtype=float)
+            if angle.shape != (steps + 1,) or not np.isfinite(angle).all():
+                raise ValueError(
+                    f"push: tip_angle must be {steps + 1} finite numbers, one for each row of tip"
+                )
+            object.__setattr__(self, "tip_angle", angle)
         if self.wrench is not None:
             wrench = np.ascontiguousarray(self.wrench, dtype=float)
             if wrench.shape != (steps, 5):
@@ -178,7 +187,7 @@ def join_pushes(
     samples, forces = [push.pose_samples for push in pushes], [push.force_steps for push in pushes]
     return JoinedPushes(
         np.array([push.h for push in pushes]),
-        np.concatenate([push.tip for push in pushes]),
+        np.concatenate([tip_with_angle(push.tip, push.tip_angle) for push in pushes]),
         _offsets([len(push.tip) for push in pushes]),
         np.concatenate(wrenches),
         _offsets([len(wrench) for wrench in wrenches]),
@@ -192,6 +201,11 @@ def join_pushes(
         np.concatenate([last for _, last in forces]),
         _offsets([len(first) for first, _ in forces]),
     )
+
+
+def tip_with_angle(tip: FloatArray, angle: FloatArray | None) -> FloatArray:
+    """(N + 1, 3) a finger's centres (N + 1, 2) and angles (N + 1,), 0 for a finger that does not turn."""
+    return np.column_stack([tip, np.zeros(len(tip)) if angle is None else angle])
 
 
 def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], models: int) -> FloatArray:

@@ -75,6 +75,7 @@ class Frame(NamedTuple):
     # spring_x, spring_y: velocity with which a free bent finger would straighten, m/s; 0 for a rigid finger
     spring_x: float
     spring_y: float
+    rolling: float  # speed of the surface of a finger that turns, counterclockwise, m/s
 
 
 class Applied(NamedTuple):
@@ -149,7 +150,7 @@ def free_momentum(inertia, v, cos, sin):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-untyped-def]
+def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1, rolling):  # type: ignore[no-untyped-def]
     """`Frame` at the middle of the step, predicted from the last twist.
 
     Args:
@@ -159,6 +160,7 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
         v: last twist, object frame.
         h: step, s.
         tip0, tip1: finger centre at the start of the step and at its end, world, m.
+        rolling: see `Frame`.
     """
     half_cos = quarter.cos * quarter.cos - quarter.sin * quarter.sin
     half_sin = 2.0 * quarter.cos * quarter.sin
@@ -170,7 +172,7 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
     dy = 0.5 * (tip0[1] + tip1[1]) - y - half_way * wy
     tip_x, tip_y = turned(c, -s, dx, dy)
     speed_x, speed_y = turned(c, -s, (tip1[0] - tip0[0]) / h, (tip1[1] - tip0[1]) / h)
-    return Frame(c, s, tip_x, tip_y, speed_x, speed_y, 0.0, 0.0)
+    return Frame(c, s, tip_x, tip_y, speed_x, speed_y, 0.0, 0.0, rolling)
 
 
 @compiled(forceinline=True)
@@ -180,7 +182,8 @@ def bent_frame(frame, bend_x, bend_y, settling):  # type: ignore[no-untyped-def]
     `settling` is its time constant, s.
     """
     x, y = turned(frame.cos, -frame.sin, bend_x / settling, bend_y / settling)
-    return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
+    speed_x, speed_y = frame.speed_x, frame.speed_y
+    return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, speed_x, speed_y, x, y, frame.rolling)
 
 
 @compiled(forceinline=True)
@@ -221,7 +224,7 @@ def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
     gap += 0.5 * h * (nx * v[0] + ny * v[1] + nw * v[2] - finger)
     stiffening = stiffening_of(gap, cone)
     closing = gap / (h * stiffening) + finger + nx * frame.spring_x + ny * frame.spring_y
-    drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x)
+    drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x) - frame.rolling
     normal = h * h * stiffening / (cone.give + stiffening * cone.compliance)
     ratio = normal / cone.tangential
     turn, slide = rows[k, 5], rows[k, 6]

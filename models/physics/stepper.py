@@ -18,6 +18,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import AFTER, FORCE
 from slipmap.models.physics.kernel import INPUTS, single_steps
 from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.pushes import tip_with_angle
 from slipmap.models.physics.rollout import RolloutError, Slider, Smoothing
 from slipmap.models.physics.sensors import Sensors
 from slipmap.models.physics.step import EXTRA_COLUMNS
@@ -131,7 +132,8 @@ class Stepper(Slider):
             models: see `models`.
             states: (K, Z).
             wrench: (5,) force (world, N), its point (object frame, m) and a torque (N m), as in `Push`.
-            tip: (2, 2) finger centre before and after the step, world, m; NaN for no finger.
+            tip: (2, 2) finger centre before and after the step, world, m; NaN for no finger; it does not
+                turn.
             time: from the start of the push to the start of the step, s.
             order: index of the push in the experiment, from 0.
             derive: whether to differentiate.
@@ -146,7 +148,7 @@ class Stepper(Slider):
         """
         # Always the same memory layout, so that the kernel is compiled only once.
         states = np.ascontiguousarray(states, dtype=float)
-        wrench, tip = np.ascontiguousarray(wrench, dtype=float), np.ascontiguousarray(tip, dtype=float)
+        wrench, tip = np.ascontiguousarray(wrench, dtype=float), tip_with_angle(np.asarray(tip, float), None)
         (K, Z), n = states.shape, len(self.grid)
         constants = self._per_step.copy()
         constants[0, 0], constants[0, 2] = time, order

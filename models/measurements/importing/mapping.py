@@ -50,6 +50,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
 TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
 
 _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is unreliable
+_UPRIGHT = 0.9  # cosine between a finger and the vertical up to which its angle is known
 _STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
@@ -266,6 +267,8 @@ def _pose(
         turns, known = turn
         axes = whole @ turns
         matrices = axes @ to_table.T
+        if name == "tip_pose":  # a finger that leans has no angle about its axis on the table
+            known = known & (np.abs(matrices[:, 2, 2]) > _UPRIGHT)
         theta = np.where(known, np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]), np.nan)
         theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))

@@ -579,6 +579,8 @@ def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
     if channel == "ft_wrench" and not lag.sure:
         return trial, f"{channel}: stamps left as they are, since they agree with the poses within the error"
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
+    if channel == "tip_pose" and (angle := trial.tip_angle) is not None:
+        channels["tip_angle"] = Channel(angle.time + lag.value, angle.values)
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
 

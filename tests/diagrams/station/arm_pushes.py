@@ -1,7 +1,7 @@
 """Pushes by the arm of the robot's cell, without camera, compared with the cell-grid model at the true maps.
 
 `python tests/diagrams/station/arm_pushes.py wrench spray_gun` makes sixty short and thirty long random pushes
-of each object.
+of each object. With `--turning` the hand does not keep its direction while it pushes.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
 import slipmap
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.push_executor import PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.station.arm import HOME, arm_model
@@ -26,6 +27,7 @@ from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.models.geometry import placed, rotated
 from slipmap.models.inference.observations import observe
 from slipmap.models.measurements.trial import Channel, Trial
+from slipmap.models.measurements.trial_tables import turning
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.paper_notation import add
@@ -46,7 +48,7 @@ class Outcome:
 
     moved: float  # m
     off: float  # average distance (ADD) between the end in the plant and the model's, m
-    turned_off: float  # angle between the two, rad
+    off_if_still: float  # the same for a model that does not know of a finger that turns, m
     rocking: float  # share of the steps in motion with a tilt of more than `ROCKS`
 
 
@@ -82,12 +84,12 @@ class ArmCell:
         if trial is None:
             return None
         push = observe(trial).push
-        predicted = self._slider.rollout(self.thing.maps, [push]).end[0, 0, :3]
+        pushes = [push, replace(push, tip_angle=None)]
         measured = trial.object_pose.values[-1]
+        ends = self._slider.rollout(self.thing.maps, pushes).end[0, :, :3]
         return Outcome(
             float(np.linalg.norm(measured[:2] - push.start_pose[:2])),
-            float(add(predicted, measured, self.thing.grid.centers)),
-            abs(float(predicted[2] - measured[2])),
+            *(float(add(end, measured, self.thing.grid.centers)) for end in ends),
             float(np.mean(tilts > ROCKS)) if len(tilts) else 0.0,
         )
 
@@ -122,7 +124,10 @@ class ArmCell:
             steps.append([*placed_at, np.hypot(R[2, 0], R[2, 1])])
             if not rows or now.get_time() > rows[-1][0] + _SAMPLE - 1e-6:
                 X_WT = self._executor.GetOutputPort("tip_pose").Eval(context)
-                rows.append([now.get_time(), *X_WT.translation(), *placed_at])
+                x_axis = X_WT.rotation().matrix()[:, 0]
+                rows.append(
+                    [now.get_time(), *X_WT.translation(), *placed_at, np.arctan2(x_axis[1], x_axis[0])]
+                )
             self.station.after_step(now)
             return EventStatus.DidNothing()
 
@@ -130,16 +135,17 @@ class ArmCell:
         self._simulator.AdvanceTo(root.get_time() + 20.0)
         ended = status.Eval(context)
         assert ended.push_id == self._count and ended.mode in ("home", "refused"), ended
+        if ended.mode == "refused":
+            return None, np.zeros(0)
         recording, table = np.array(rows), np.array(steps)
         low = recording[recording[:, 3] < _DOWN]
         moving = np.abs(np.diff(table[:, :3], axis=0)).max(axis=1) > 1e-7
-        if ended.mode == "refused" or len(low) < 2:
-            return None, table[:0, 3]
-        ends = low[[0, -1], 4:]
+        low[:, 0] -= low[0, 0]
+        time, angle = low[:, 0], turning(low[:, [0, 1, 2, 7]])
+        ends = low[[0, -1], 4:7]
         ends[:, 2] = np.unwrap(ends[:, 2])
-        time = low[:, 0] - low[0, 0]
-        trial = Trial("push", "fit", Channel(time[[0, -1]], ends), Channel(time, low[:, 1:3]), None)
-        return trial, table[1:][moving, 3]
+        pose, tip = Channel(time[[0, -1]], ends), Channel(time, low[:, 1:3])
+        return Trial("push", "fit", pose, tip, tip_angle=angle), table[1:][moving, 3]
 
 
 def random_pushes(
@@ -171,18 +177,27 @@ def random_pushes(
 
 def main() -> None:
     """Print a row for each object that is named."""
-    print("ADD of the ends from the model's: median, 90 %, largest, mm; pushes that rock in more than 10 %")
-    for name in sys.argv[1:]:
+    names = [name for name in sys.argv[1:] if name != "--turning"]
+    if len(names) < len(sys.argv) - 1:
+        ArmPlanner._steady = lambda planner, push: iter(())  # type: ignore[method-assign]
+    print(
+        "ADD of the ends from the model's: median, 90 %, largest, mm, and if the finger is taken for a still"
+    )
+    print("one; pushes that rock in more than 10 % of their steps, and that the arm cannot make")
+    for name in names:
         cell = ArmCell(name)
         for what, count, travel in (("short", 60, SHORT), ("long", 30, LONG)):
             found = [cell.push(*push) for push in random_pushes(cell.thing, count, 5, travel)]
             refused = sum(outcome is None for outcome in found)
             made = [outcome for outcome in found if outcome is not None and outcome.moved > 1e-4]
-            off = 1e3 * np.array([outcome.off for outcome in made])
-            median, most = np.quantile(off, [0.5, 0.9])
+            off = 1e3 * np.array([[outcome.off, outcome.off_if_still] for outcome in made])
+            known, still = (
+                f"{median:.2f}, {most:.1f}, {largest:.1f}"
+                for median, most, largest in np.quantile(off, [0.5, 0.9, 1.0], axis=0).T
+            )
             rocking = sum(outcome.rocking > 0.1 for outcome in made)
             print(
-                f"{name}: {len(made)} {what}, {median:.2f}, {most:.1f}, {off.max():.1f}; {rocking} rock, {refused} refused",
+                f"{name}: {len(made)} {what}, {known}, if still {still}; {rocking} rock, {refused} refused",
                 flush=True,
             )
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven_block import DrivenBlock, seen_at
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from slipmap.diagrams.execution.arm_motion import TORQUE_LAG
 from slipmap.diagrams.execution.requests import ExecutionStatus
@@ -33,6 +33,7 @@ class Cell(DrivenBlock):
             execution=ExecutionStatus("home"), status=LoopStatus("looking", 0),
         )  # fmt: skip
         self.tip = np.array([-0.1, 0.02, 0.004])
+        self.angle, self.turn = 2.7, 0.0  # of the hand, and its change from row to row, rad
         self.advance(0.5 * PERIOD)
 
     def picture(self, pose: tuple[float, float, float] | None) -> None:
@@ -50,7 +51,8 @@ class Cell(DrivenBlock):
         self.set(execution=ExecutionStatus(mode, 0), tip_force=force)
         for _ in range(rows):
             self.tip[0] += SPEED * PERIOD
-            self.set(tip_pose=RigidTransform([*self.tip]))
+            self.angle += self.turn
+            self.set(tip_pose=RigidTransform(RollPitchYaw(np.pi, 0.0, self.angle), self.tip))
             self.advance(PERIOD)
 
     def push(self, number: int, rows: int = 100) -> None:
@@ -103,6 +105,19 @@ def test_tip_and_force_are_recorded_only_while_the_finger_pushes(trial):
     assert trial.tip_pose.values[:, 1] == pytest.approx(np.full(100, 0.02))
     assert trial.ft_wrench.time == pytest.approx(trial.tip_pose.time - TORQUE_LAG, abs=1e-12)
     assert trial.ft_wrench.values == pytest.approx(np.tile([FORCE[0], FORCE[1], 0.0], (100, 1)))
+
+
+def test_the_angle_of_a_hand_that_turns_is_recorded(trial):
+    assert trial.tip_angle is None
+    cell = Cell()
+    cell.turn = 0.005
+    cell.look(BEFORE)
+    cell.push(0)
+    cell.look(AFTER)
+    angle = cell.trials[0].tip_angle
+    assert angle is not None
+    np.testing.assert_array_equal(angle.time, cell.trials[0].tip_pose.time)
+    np.testing.assert_allclose(np.diff(angle.values[:, 0]), 0.005, atol=1e-9)  # through half a turn
 
 
 @pytest.mark.parametrize(

@@ -175,6 +175,20 @@ def test_long_steps_keep_the_finger_and_the_times(rest):
     np.testing.assert_array_equal(long.poses, fine.poses)
 
 
+def test_a_finger_turns_as_recorded_also_with_long_steps():
+    trial = pushed_trial(0.3)
+    time = trial.tip_pose.time
+    jitter = np.random.default_rng(1).normal(0.0, 2e-3, len(time))
+    angle = Channel(time, (0.5 * time + jitter)[:, None])
+    for observation in (fine := observe(replace(trial, tip_angle=angle)), fine.with_long_steps):
+        push = observation.push
+        inner = slice(len(push.tip) // 10, -len(push.tip) // 10)
+        expected = 0.5 * (trial.start + push.h * np.arange(len(push.tip)))
+        np.testing.assert_allclose(push.tip_angle[inner], expected[inner], atol=5e-3)
+        assert np.diff(push.tip_angle)[inner].std() / push.h < 0.1  # rad/s; of the rows it is 0.3
+    assert observe(trial).push.tip_angle is None
+
+
 def _track(observation):
     push = observation.push
     return push.h * np.arange(len(push.tip)), push.tip

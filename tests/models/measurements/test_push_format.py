@@ -112,6 +112,24 @@ def test_theta_is_unwrapped_across_dropped_rows(example):
     np.testing.assert_allclose(theta, np.delete(true, range(12, 16)), atol=1e-12)
 
 
+def test_a_finger_has_an_angle_if_it_turns(example, tmp_path):
+    turned = 3.0 + 0.005 * np.arange(100)
+    for row, angle in zip(record(example)["tip_pose"], turned, strict=True):
+        row[3] = math.remainder(angle, math.tau)
+    for step, row in enumerate(record(example, 2)["tip_pose"]):
+        row[3] = 0.3 + 0.01 * (-1.0) ** step  # jitters
+    rows = record(example)["tip_pose"]
+    rows[20][3], rows[30][3] = math.nan, -9999.0  # not known
+    read = read_dataset(example.write())
+    assert read.trials[0].tip_angle is None and read.trials[2].tip_angle is None and read.warnings == ()
+    angle = read.trials[1].tip_angle
+    assert angle is not None and len(read.trials[1].tip_pose.time) == 100
+    np.testing.assert_allclose(angle.values[:, 0], np.delete(turned, [20, 30]), atol=1e-12)
+    again = read_dataset(write_dataset(read, tmp_path / "again")).trials[1].tip_angle
+    assert again is not None
+    np.testing.assert_allclose(again.at(angle.time), angle.values, atol=1e-12)
+
+
 def test_force_can_be_missing(example):
     del record(example, 0)["ft_wrench"]
     record(example, 1)["ft_wrench"] = None

@@ -122,17 +122,6 @@ def test_a_tip_track_that_ends_while_the_finger_moves(example):
     assert read_dataset(example.write()).warnings == ()
 
 
-def test_a_finger_that_turns_is_noticed_while_the_object_moves(example):
-    """From 171 to 200°, most of it in motion. A missing angle does not count, nor a turn before the touch."""
-    rows = record(example)["tip_pose"]
-    for step, row in enumerate(rows):
-        row[3] = math.remainder(3.0 + 0.005 * step, math.tau)
-    warned(example, "trials/001.json", "finger turns by 2", "while the object moves")
-    for step, row in enumerate(rows):
-        row[3] = -9999.0 if step % 2 else 0.02 * min(step, 8)
-    assert read_dataset(example.write()).warnings == ()
-
-
 def test_a_key_with_a_slip_of_the_pen(example):
     record(example)["ft_wrenches"] = record(example).pop("ft_wrench")
     warned(example, "trials/001.json", "'ft_wrenches' is unknown")

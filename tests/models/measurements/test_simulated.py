@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.measurements import Noise, Table, read_dataset, write_dataset
+from slipmap.models.measurements.dataset_check import check_dataset
 from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -95,6 +96,18 @@ def test_rows_are_the_simulation_at_the_rate():
     np.testing.assert_allclose(trial.object_pose.values[1:], poses[19::20], atol=1e-12)
     np.testing.assert_array_equal(trial.object_pose.values[0], push.start_pose)
     np.testing.assert_allclose(trial.tip_pose.values, push.tip[::20], atol=1e-12)
+
+
+def test_the_angle_of_a_finger_is_recorded_if_it_turns():
+    slider, push = square(), push_along_x(0.01)
+    turning = replace(push, tip_angle=2.0 * push.h * np.arange(len(push.tip)))
+    dataset = record_pushes(slider, maps(slider), [push, turning], np.random.default_rng(0), noise=SILENT)
+    still, turned = dataset.trials
+    assert still.tip_angle is None
+    np.testing.assert_allclose(turned.tip_angle.values[:, 0], 2.0 * turned.tip_angle.time, atol=1e-12)
+    assert not np.allclose(still.object_pose.values[-1], turned.object_pose.values[-1], atol=1e-4)
+    (found,) = [one for one in check_dataset(dataset).findings if one.what == "finger"]
+    assert "in 1 of 2 pushes" in found.found
 
 
 def test_dataset_survives_the_file_format(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -154,7 +156,7 @@ def test_a_force_does_not_drive_the_object_into_the_finger() -> None:
 def contact_forces(slider: Slider, maps: Maps, push: Push) -> tuple[np.ndarray, np.ndarray]:
     """Force along the inward normal and across it at the middle of each step (k, 2), the finger's slip (k,).
 
-    The slip is the finger's velocity against the touched point, along the direction of the second force.
+    The slip is that of the finger's surface against the touched point, along the second force.
     """
     out = slider.rollout(maps, [push])
     poses = with_start(out.poses[0], push)
@@ -167,31 +169,41 @@ def contact_forces(slider: Slider, maps: Maps, push: Push) -> tuple[np.ndarray, 
         tangent = np.array([-normal[1], normal[0]])
         local = rotation(pose[2]).T @ force
         finger = rotation(pose[2]).T @ (push.tip[k + 1] - push.tip[k]) / push.h
+        if push.tip_angle is not None:
+            spin = (push.tip_angle[k + 1] - push.tip_angle[k]) / push.h
+            finger = finger + spin * FINGER_RADIUS * np.array([normal[1], -normal[0]])
         surface = twist[:2] + twist[2] * np.array([-contact[1], contact[0]])
         forces[k] = -local @ normal, local @ tangent
         slips[k] = (finger - surface) @ tangent
     return forces, slips
 
 
-# Pushes of a 10 cm x 6 cm rectangle from its left side: height of the finger, angle of its path, friction.
+# Pushes of a 10 cm x 6 cm rectangle from its left side: height of the finger, angle of its path, friction,
+# and spin of the finger, rad/s.
 SCENES = [
-    pytest.param(0.0, 0.0, 0.3, id="centre"),
-    pytest.param(0.015, 0.6, 0.1, id="slides"),
-    pytest.param(0.015, 0.6, 1.0, id="sticks"),
-    pytest.param(0.02, 0.8, 0.2, id="slides off the corner"),
-    pytest.param(0.033, -0.2, 0.3, id="on the corner"),
-    pytest.param(-0.02, 0.6, 0.0, id="without friction"),
+    pytest.param(0.0, 0.0, 0.3, 0.0, id="centre"),
+    pytest.param(0.015, 0.6, 0.1, 0.0, id="slides"),
+    pytest.param(0.015, 0.6, 1.0, 0.0, id="sticks"),
+    pytest.param(0.02, 0.8, 0.2, 0.0, id="slides off the corner"),
+    pytest.param(0.033, -0.2, 0.3, 0.0, id="on the corner"),
+    pytest.param(-0.02, 0.6, 0.0, 0.0, id="without friction"),
+    pytest.param(0.0, 0.0, 0.2, -5.0, id="turns and slides"),
+    pytest.param(0.0, 0.0, 1.0, 3.0, id="turns and rolls"),
 ]
 
 
-@pytest.mark.parametrize(("height", "angle", "mu"), SCENES)
-def test_contact_force_stays_in_the_cone_and_opposes_slip(height: float, angle: float, mu: float) -> None:
+@pytest.mark.parametrize(("height", "angle", "mu", "spin"), SCENES)
+def test_contact_force_stays_in_the_cone_and_opposes_slip(
+    height: float, angle: float, mu: float, spin: float
+) -> None:
     h = 2e-3
     grid = rectangle(10, 6)
     maps = random_maps(np.random.default_rng(5), 60, mu_finger=mu)
     start = (-0.05 - FINGER_RADIUS - 1e-4, height)
     tip = line(start, 0.05 * np.array([np.cos(angle), np.sin(angle)]), 1.5, h)
-    forces, slips = contact_forces(Slider(grid, FINGER_RADIUS), maps, finger_push(tip, h))
+    turned = spin * h * np.arange(len(tip)) if spin else None
+    push = finger_push(tip, h, tip_angle=turned)
+    forces, slips = contact_forces(Slider(grid, FINGER_RADIUS), maps, push)
     normal, tangential = forces.T
     touching = normal > 0
     assert touching.sum() > 100
@@ -214,6 +226,26 @@ def test_scenes_of_the_cone_hold_sticking_and_slipping() -> None:
         _, slips = contact_forces(Slider(grid, FINGER_RADIUS), maps, finger_push(tip, h))
         assert (np.abs(slips[50:]).max() < 2e-5) == sticks
         assert (np.abs(slips[-20:]).min() > 5e-3) != sticks
+
+
+def test_a_finger_that_turns_rolls_along_the_side() -> None:
+    """Where it sticks, it pushes the touched point sideways at the speed of its own surface."""
+    h, spin = 2e-3, 3.0
+    grid = rectangle(10, 6)
+    maps = Maps(np.full(60, 0.01), np.full(60, 0.4), np.array([1.0]))
+    tip = line((-0.05 - FINGER_RADIUS, 0.0), (0.05, 0.0), 0.1, h)
+    push = finger_push(tip, h, tip_angle=spin * h * np.arange(len(tip)))
+    poses = with_start(Slider(grid, FINGER_RADIUS).rollout(maps, [push]).poses[0], push)
+    twist = twists_between(poses, h)[5]
+    x, y = to_object(0.5 * (tip[5] + tip[6]), 0.5 * (poses[5] + poses[6]))
+    surface = twist[:2] + twist[2] * np.array([-y, x + FINGER_RADIUS])
+    # The finger turns counterclockwise: its right side, which touches the object, moves up.
+    assert surface[1] == pytest.approx(spin * FINGER_RADIUS, abs=2e-4)
+    frictionless = Maps(maps.mass, maps.mu, np.zeros(1))
+    slider = Slider(grid, FINGER_RADIUS)
+    still = replace(push, tip_angle=None)
+    ends = [slider.rollout(frictionless, [one]).end for one in (push, still)]
+    np.testing.assert_allclose(*ends, atol=1e-12)
 
 
 def test_a_concave_corner_holds_the_finger_from_two_sides() -> None:

@@ -35,6 +35,11 @@ def finger_round_a_corner() -> Push:
     return finger_push(line(start, 0.08 * heading, 1.2, H), H, start_pose=START)
 
 
+def by_a_turning_finger() -> Push:
+    push = finger_round_a_corner()
+    return replace(push, tip_angle=3.0 * H * np.arange(len(push.tip)))
+
+
 def moving_object_meets_finger() -> Push:
     tip = line(to_world((0.03, 0.006), START), (0.02, 0.01), 0.5, H)
     return finger_push(tip, H, start_pose=START, start_twist=np.array([-0.2, 0.3, 3.0]))
@@ -50,6 +55,7 @@ PUSHES = pytest.mark.parametrize(
     "push",
     [
         pytest.param(finger_round_a_corner(), id="finger"),
+        pytest.param(by_a_turning_finger(), id="turning finger"),
         pytest.param(moving_object_meets_finger(), id="moving object"),
         pytest.param(by_wrench(), id="wrench"),
         pytest.param(coast((0.4, -0.2, 6.0), 0.5, H, start_pose=START), id="coasting"),
@@ -64,6 +70,10 @@ def simulate(grid: CellGrid, maps: Maps, push: Push) -> tuple[np.ndarray, np.nda
 
 
 def test_the_pushes_do_what_they_are_for() -> None:
+    still, turning = (
+        simulate(GRID, MAPS, push)[0] for push in (finger_round_a_corner(), by_a_turning_finger())
+    )
+    assert np.abs(still - turning).max() > 1e-3
     for push in (finger_round_a_corner(), moving_object_meets_finger(), by_wrench()):
         poses, forces, _ = simulate(GRID, MAPS, push)
         assert np.ptp(poses[:, 2]) > 0.02
@@ -138,6 +148,7 @@ def test_a_mirror_image_moves_as_the_mirror_image(push: Push) -> None:
     mirrored = replace(
         push,
         tip=push.tip * flip,
+        tip_angle=None if push.tip_angle is None else -push.tip_angle,
         start_pose=push.start_pose * [1, -1, -1],
         start_twist=push.start_twist * [1, -1, -1],
         wrench=None if push.wrench is None else push.wrench * [1, -1, 1, -1, -1],

@@ -61,6 +61,11 @@ def from_the_left(height: float, angle: float, clearance: float, duration: float
     return finger_push(line(start, 0.05 * rotation(START[2] + angle)[:, 0], duration, H), H, start_pose=START)
 
 
+def turning(push: Push) -> Push:
+    """The push by a finger that turns by half a turn, faster and faster."""
+    return replace(push, tip_angle=np.pi * np.linspace(0.0, 1.0, len(push.tip)) ** 2)
+
+
 def made_and_lost() -> Push:
     """A finger that approaches the object in an arc, touches it, and leaves it again."""
     time = H * np.arange(101)
@@ -90,6 +95,7 @@ COARSE = rectangle(5, 3, 0.02)
 CASES = {
     "sliding": Case(BLOCK, from_the_left(0.01, 0.7, 2e-4), 0.1),
     "sticking": Case(BLOCK, from_the_left(0.01, 0.3, 2e-4), 1.0),
+    "turning finger": Case(BLOCK, turning(from_the_left(0.01, 0.3, 2e-4)), 0.3),
     "round a corner": Case(BLOCK, from_the_left(0.03, 0.9, 2e-4), 0.3),
     "on a corner": Case(BLOCK, from_the_left(0.037, -0.8, -2e-3), 0.22),
     "made and lost": Case(COARSE, made_and_lost(), 0.3),

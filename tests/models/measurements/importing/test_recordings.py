@@ -283,6 +283,18 @@ def test_a_clock_that_contact_does_not_show_is_that_of_the_session(tmp_path):
         assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=0.015)
 
 
+def test_the_angle_of_a_finger_is_on_its_clock(tmp_path):
+    written(tmp_path / "object.csv", ["t", "x", "y", "theta"], [TIME, POSE])
+    written(tmp_path / "finger.csv", ["t", "x", "y", "theta"], [TIME + 100.0, TIP, 0.4 * TIME])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: object.csv}\n"
+        "tip_pose: {source: finger.csv, position: [x, y], angle: theta}\n"
+    )
+    (trial,) = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.tip_pose.time == pytest.approx(TIME, abs=0.02)
+    assert trial.tip_angle.at(trial.tip_pose.time)[:, 0] == pytest.approx(0.4 * TIME, abs=1e-6)
+
+
 def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp_path):
     """Of a row every 33 ms the rise of the force shows no clock; that it stands in the robot's file does."""
     dataset = read_dataset(ROOT / "diagrams" / "application" / "tilted_block")
