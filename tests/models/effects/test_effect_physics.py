@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -180,6 +181,15 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
                    coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true * [1.05, 1.05, 1]),
                    grid=SQUARE).poses[0]  # fmt: skip
     assert longer == pytest.approx(there * [1.05, 1.05, 1], abs=1e-12)
+
+
+def test_a_finger_that_turns_turns_also_where_it_bends() -> None:
+    still = steady_push(0.0)
+    push = replace(still, tip_angle=4.0 * still.h * np.arange(len(still.tip)))
+    stiff = slide([], [], push, grid=SQUARE)
+    bent = slide([EFFECTS["finger_compliance"]], [1e-5], push, grid=SQUARE)
+    assert bent.poses == pytest.approx(stiff.poses, abs=2e-4)
+    assert np.abs(stiff.poses - slide([], [], still, grid=SQUARE).poses).max() > 3e-3
 
 
 def test_a_tracker_shifted_and_turned_is_a_finger_in_another_frame() -> None:
