@@ -51,7 +51,9 @@ LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
 _DRAWN_PAIRS = 4  # of opposite tracks that the finger may have taken
 _LEAST_SCATTER = 2e-6  # m between tracks that matters
-_SLIDING_STEP = 2e-3  # s, for an object that starts in motion
+_SLIDING_STEP = 2e-3  # s, for an object that starts in motion; and m that it may move in a step, since an
+_SLIDING_STRIDE = 2e-4  # implicit step stops it half of that too early
+_SHORTEST_STEP = 1e-4  # s
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
 """Contact for recorded fingers: 0.1 mm of penetration, like the give of real fingers, keeps the remaining
@@ -143,7 +145,8 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0, *, reach: flo
     speed = _fast_speed(track_time, track) if pushed else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
-        step = min(step, _SLIDING_STEP)
+        fastest = float(np.hypot(*twist[:2])) + _TURNING_ARM * abs(float(twist[2]))
+        step = min(step, _SLIDING_STEP, max(_SLIDING_STRIDE / fastest, _SHORTEST_STEP))
     step *= coarseness
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps

@@ -203,15 +203,15 @@ def _cost_from_rest(
 
 
 def _longest_fit(time: FloatArray, pose: FloatArray, noise: FloatArray, sizes: list[int]) -> FloatArray:
+    """Velocity from the longest window that fits: a short one may exceed the noise by chance."""
     velocity = np.zeros(3)
     for size in sizes:
         basis = _quadratic(time[:size])
         coefficients, residual = _huber_fit(basis, pose[:size], noise)
         travel = np.ptp(basis @ coefficients, axis=0)
         fits = np.all(_robust_spread(residual) <= np.maximum(1.25 * noise, _FINE_FIT * travel))
-        if size > sizes[0] and not fits:
-            break
-        velocity = coefficients[1]
+        if size == sizes[0] or fits:
+            velocity = coefficients[1]
     return velocity
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 from shapely.geometry import Polygon
 
 from slipmap.models.geometry import seen_from
@@ -82,6 +83,11 @@ def _finite(values: object, count: int) -> bool:
     return numbers.shape == (count,) and bool(np.isfinite(numbers).all())
 
 
+def _pair(values: ArrayLike) -> tuple[float, float]:
+    first, second = np.asarray(values, dtype=float)
+    return float(first), float(second)
+
+
 @dataclass(frozen=True)
 class Table:
     """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
@@ -105,12 +111,15 @@ class Table:
         check_choice("Table: shape", self.shape, ("round", "rectangle"))
         if not _finite(self.center, 2):
             raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
+        object.__setattr__(self, "center", _pair(self.center))
         if self.shape == "round":
             check_positive("Table: radius of a round table", self.radius, "m")
         elif self.size is None or not _finite(self.size, 2) or min(self.size) <= 0:
             raise ValueError(
                 f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
             )
+        else:
+            object.__setattr__(self, "size", _pair(self.size))
 
     @property
     def polygon(self) -> Polygon:
@@ -312,16 +321,16 @@ class PushDataset(Setup):
         )
 
     def __post_init__(self) -> None:
-        for what, value in (
-            ("height", self.height),
-            ("mass", self.mass),
-            ("finger radius", self.finger_radius),
-            ("finger height", self.finger_height),
-            ("gravity", self.gravity),
+        for what, value, optional in (
+            ("height", self.height, True),
+            ("mass", self.mass, True),
+            ("finger radius", self.finger_radius, False),
+            ("finger height", self.finger_height, True),
+            ("gravity", self.gravity, False),
         ):
             number = np.asarray(value)  # as np.load gives a mass
             sound = number.ndim == 0 and number.dtype.kind in "iuf" and np.isfinite(number) and number > 0
-            if value is not None and not sound:
+            if not sound and not (optional and value is None):
                 raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value!r}")
         if self.finger_radius > THICKEST_FINGER:
             raise DatasetError(TOO_THICK.format(where="finger radius", value=self.finger_radius))
@@ -388,7 +397,7 @@ def dataset_of(
     """
     digest = hashlib.sha256(grid.centers.tobytes() + grid.edges.tobytes())
     for trial in trials:
-        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
+        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench, trial.tip_angle):
             if channel is not None:
                 digest.update(channel.time.tobytes() + channel.values.tobytes())
     return PushDataset(

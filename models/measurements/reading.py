@@ -17,7 +17,7 @@ from slipmap.models.measurements.known_maps import with_known_maps
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Setup, Table, dataset_of
 from slipmap.models.measurements.sessions import cut_at_carries
-from slipmap.models.measurements.setup_description import SETUP_KEYS, doubtful_object, parse_setup
+from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup, setup_document
 from slipmap.models.measurements.trial import CHANNELS, LAST_PLACE, DatasetError, Role, Trial, in_order
 from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.measurements.trial_tables import IN_DEGREES, json_tables, trial_from_tables
@@ -142,7 +142,8 @@ def dataset_from_arrays(
 
     Raises:
         DatasetError: an array of another shape, times that do not increase, numbers too large for their unit,
-            or a mass, radius or gravity that is not positive; names push and array.
+            or a description that a file may not have, such as a radius that is not positive; names push and
+            array.
         ValueError: a number of held-out pushes that is no whole number from 0.
         TypeError: something else than mappings of arrays and a grid.
 
@@ -172,6 +173,11 @@ def dataset_from_arrays(
         check_whole("heldout", heldout, 0)
         if heldout > len(trials):
             raise DatasetError(f"heldout: there are {len(trials)} pushes, so {heldout} cannot be held out")
+    check_kind("name", name, str, "for messages and reports")
+    if noise is not None:
+        check_kind("noise", noise, Noise, "such as slipmap.models.measurements.Noise(position=2e-4)")
+    if table is not None:
+        check_kind("table", table, Table, "such as slipmap.models.measurements.Table('round', (0, 0), 0.5)")
     dataset = dataset_of(
         last_held_out(trials, heldout), grid, name=name, description=description,
         finger_radius=finger_radius, mass=mass, height=height, finger_height=finger_height, table=table,
@@ -179,10 +185,12 @@ def dataset_from_arrays(
     )  # fmt: skip
     stays = True if keep_all else None
     kept, told = check_trials(dataset, dataset.trials, name, lambda trial: stays)
-    object_doubts = doubtful_object({"height": height, "mass": mass}, grid, f"{name}: object")
-    warnings = (*object_doubts, *_gathered(doubts), *told)
+    _, of_setup = parse_setup(setup_document(dataset), name, name)
+    warnings = (*of_setup, *_gathered(doubts), *told)
     for warning in warnings:
         tell(warning)
+    if keep_all:
+        kept = [replace(trial, kept=True) for trial in kept]
     return replace(dataset, trials=tuple(kept), warnings=warnings)
 
 
@@ -207,7 +215,7 @@ def _rows(array: ArrayLike, channel: str, where: str) -> FloatArray:
     columns, meaning = _COLUMNS[channel]
     where = f"{where}, {channel}"
     try:
-        rows = np.asarray(array, dtype=float)
+        rows: FloatArray = np.ma.filled(np.ma.asarray(array, dtype=float), np.nan)
     except (TypeError, ValueError) as error:
         raise DatasetError(f"{where}: needs an array of numbers ({error})") from None
     if rows.ndim != 2 or rows.shape[1] not in columns:

@@ -67,7 +67,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     name = parsing.text(document.get("name", default_name), f"{where}: name")
     description = parsing.text(document.get("description", ""), f"{where}: description")
     measured = _numbers(shape, _OBJECT, f"{where}: object")
-    warnings += doubtful_object(measured, grid, f"{where}: object")
+    warnings += _doubtful_object(measured, grid, f"{where}: object")
     table = _table(document.get("table"), f"{where}: table", warnings)
     noise = _noise(document.get("noise"), f"{where}: noise", warnings)
     height, mass = measured.get("height"), measured.get("mass")
@@ -127,7 +127,7 @@ def _known(source: object, names: Iterable[str]) -> dict[str, float]:
     return {name: float(value) for name in names if (value := getattr(source, name)) is not None}
 
 
-def doubtful_object(measured: Mapping[str, float | None], grid: CellGrid, where: str) -> list[str]:
+def _doubtful_object(measured: Mapping[str, float | None], grid: CellGrid, where: str) -> list[str]:
     """What looks wrong with the `height` (m) and `mass` (kg) that were measured of an object, if anything."""
     warnings = []
     if (height := measured.get("height")) is not None:

@@ -22,7 +22,7 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.foreign_frames import exchanged, frame_change
-from slipmap.models.measurements.motion import spread_rows, stamp_jitter
+from slipmap.models.measurements.motion import pose_scatter, row_noise, spread_rows, stamp_jitter
 from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
@@ -48,6 +48,10 @@ _NEVER_NEAR = 0.03  # m of air that no wrong outline, finger or clock explains
 _UNSEEN = 0.15  # s between rows in which a finger may come and go
 _MANY_LENGTHS = 5.0  # of the outline, travelled in a push; beyond, a unit of length is wrong
 _FAR, _TIMES_FARTHER = 3.0, 50.0  # m, and times the others' median, that no object is pushed
+
+_DENSE = 20  # rows of a push, from which their scatter and spacing are judged
+_OVERSTATED = 10.0  # times the scatter of the rows, and more than
+_WORST_TRACKER = (5e-3, 0.05)  # m and rad, which is no noise of a tracker
 
 _LEAST_FRICTION, _MOST_FRICTION = 0.01, 10.0  # force of a push per weight; beyond, a unit is wrong
 SELDOM_LESS, SELDOM_MORE = 0.05, 1.5  # the same; beyond, this is a doubt
@@ -113,7 +117,8 @@ def check_trials(
     odd_force = odd_for_weight(setup, chosen)
     if odd_force is not None and odd_force.wrong_force:
         told.append(f"{where}: ft_wrench is {odd_force.found}; {odd_force.advice}")
-    for doubt in (too_strong(setup, chosen), jittering(chosen)):
+    doubted = too_strong(setup, chosen), jittering(chosen), _overstated_noise(setup, chosen), _counted(chosen)
+    for doubt in doubted:
         told += [f"{where}: {'; '.join(doubt)}"] if doubt else []
     warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
     chosen = [trial for trial in chosen if trial.name not in odd]
@@ -230,6 +235,47 @@ def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:
         " smoothly from row to row than by its stamps",
         "space t evenly in each channel whose rows are even; slipmap import does so with `rate` in a"
         " setup.yaml",
+    )
+
+
+def _overstated_noise(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
+    """What is odd, and what to do, if a declared noise is far above the scatter of the rows, and above any
+    tracker's; else None."""
+    dense = [trial for trial in trials if not trial.ends_only and len(trial.object_pose.time) >= _DENSE]
+    if not dense:
+        return None
+    scatter = [
+        [*pose_scatter(*_rows(trial.object_pose)), *row_noise(*_rows(trial.tip_pose))] for trial in dense
+    ]
+    x, y, angle, *tip = np.median(scatter, axis=0)
+    for key, size, unit, seen, least in (
+        ("position", 1e-3, "mm", max(x, y), _WORST_TRACKER[0]),
+        ("angle", np.radians(1.0), "°", angle, _WORST_TRACKER[1]),
+        ("tip", 1e-3, "mm", max(tip), _WORST_TRACKER[0]),
+    ):
+        declared = getattr(setup.noise, key)
+        if declared is not None and declared > max(least, _OVERSTATED * seen):
+            space = "" if unit == "°" else " "
+            return (
+                f"noise.{key} says {declared / size:.3g}{space}{unit}, but rows scatter by"
+                f" {seen / size:.2g}{space}{unit}",
+                f"is it in {'rad' if unit == '°' else 'm'}? Under so much noise pushes teach hardly anything",
+            )
+    return None
+
+
+def _rows(channel: Channel) -> tuple[FloatArray, FloatArray]:
+    return channel.time, channel.values
+
+
+def _counted(trials: Sequence[Trial]) -> tuple[str, str] | None:
+    """What is odd, and what to do, if the stamps count rows; else None."""
+    times = [trial.object_pose.time for trial in trials if len(trial.object_pose.time) >= _DENSE]
+    if not times or not all((np.diff(time) == 1.0).all() for time in times):
+        return None
+    return (
+        "the stamps of object_pose are 1 s apart",
+        "do they count frames? Times must be in s; slipmap import makes them with `rate` in a setup.yaml",
     )
 
 

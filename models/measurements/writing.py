@@ -14,7 +14,7 @@ from slipmap.models.files import part_of, remove_part, replaced_file, replaced_f
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import PushDataset
 from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format, was_imported
-from slipmap.models.measurements.setup_description import setup_document
+from slipmap.models.measurements.setup_description import parse_setup, setup_document
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
 from slipmap.models.physics.cell_grid import CellGrid
 
@@ -35,7 +35,8 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
         The folder.
 
     Raises:
-        DatasetError: the target is a file, a dataset while `overwrite` is not set, or another folder.
+        DatasetError: the target is a file, a dataset while `overwrite` is not set, or another folder; or the
+            dataset's description is one that no file may have, such as a gravity of 9810 m/s².
         OSError: the disk is full or not writable; nothing is left behind.
 
     Example:
@@ -47,6 +48,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     """
     target = Path(folder).resolve()
     is_replaced(target, overwrite)
+    parse_setup(setup_document(dataset), f"dataset {dataset.name}", dataset.name)
     with replaced_folder(target) as fresh:
         _write_files(dataset, fresh)
     return target

@@ -144,6 +144,8 @@ class Push:
     ) -> Push:
         """A constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none.
 
+        In the step in which the duration ends, the force is smaller, so that its impulse is exact.
+
         Raises:
             ValueError: force or point is not a pair, or the duration exceeds the push.
         """
@@ -155,7 +157,9 @@ class Push:
             if np.shape(pair) != (2,):
                 raise ValueError(f"push: {name} must be a pair (x, y), got {pair!r}")
         wrench = np.zeros((steps, 5))
-        wrench[: round(duration / h), :4] = [*np.asarray(force), *np.asarray(point)]
+        share = np.clip(np.round(duration / h - np.arange(steps), 9), 0.0, 1.0)
+        wrench[:, :2] = share[:, None] * np.asarray(force)
+        wrench[share > 0, 2:4] = np.asarray(point)
         nowhere = np.full((steps + 1, 2), np.nan)
         return cls(h, nowhere, np.asarray(start_pose), np.asarray(start_twist), wrench=wrench)
 

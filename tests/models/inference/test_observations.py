@@ -274,6 +274,21 @@ def test_two_row_trials_compare_at_the_end_alone(shared_data):
     assert observation.push.pose_times[0] == pytest.approx(5.0, abs=0.01)
 
 
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+def test_steps_are_short_enough_for_a_fast_slide(speed):
+    """Implicit steps stop the object half a step too early."""
+    mu, gravity = 0.3, 9.81
+    time = 0.005 * np.arange(100)
+    since = np.minimum(time, speed / (mu * gravity))
+    x = speed * since - 0.5 * mu * gravity * since**2
+    away = np.full((100, 2), 10.0)
+    trial = Trial("t", "fit", Channel(time, np.column_stack([x, 0 * x, 0 * x])), Channel(time, away))
+    grid = cells_from_polygon([[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]], width=0.02)
+    maps = Maps(np.full((1, len(grid)), 0.1), np.full((1, len(grid)), mu), np.full(1, 0.3))
+    end = Slider(grid, 0.005, gravity=gravity).rollout(maps, [observe(trial).push]).end[0, 0]
+    assert end[0] == pytest.approx(x[-1], abs=1.5e-4 + 0.01 * x[-1])
+
+
 def test_an_object_that_slides_without_a_finger_gets_its_first_velocity(shared_data):
     dataset = read_dataset(shared_data / "real" / "cube_slides")
     observation = observe(dataset.trials[0])

@@ -90,6 +90,17 @@ def test_a_slide_is_found_and_measured(noise, step):
     assert np.all(np.abs(np.mean(errors, axis=0)) < [0.02, 0.02, 0.2])
 
 
+def test_the_velocity_is_from_the_longest_window_though_a_shorter_one_scatters_by_chance():
+    rng = np.random.default_rng(7)
+    time, errors = np.arange(60) * 0.005, []
+    for speed in rng.uniform(0.3, 0.8, 200):
+        since = np.minimum(time, speed / 3.0)[:, None]
+        pose = (speed * since - 1.5 * since**2) * [1.0, 0.0, 0.0]
+        noise = rng.normal(size=pose.shape) * [1e-4, 1e-4, 5e-4]
+        errors.append(initial_twist(time, pose + noise)[0] - speed)
+    assert np.sqrt(np.mean(np.square(errors))) < 7e-3  # 12 mm/s from the first window that fits
+
+
 def test_a_slide_without_noise_is_exact_to_a_percent():
     time = np.arange(80) * 0.005
     since = np.minimum(time, 0.2)[:, None]

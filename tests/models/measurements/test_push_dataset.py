@@ -7,7 +7,16 @@ from hypothesis import given, strategies as st
 from straight_pushes import RADIUS, straight_pushes
 
 import slipmap
-from slipmap.models.measurements import Channel, DatasetError, Trial, read_dataset, write_dataset
+from slipmap.models.measurements import (
+    Channel,
+    DatasetError,
+    Noise,
+    Table,
+    Trial,
+    read_dataset,
+    write_dataset,
+)
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 def channel(rows: int, columns: int, first: float = 0.0) -> Channel:
@@ -187,6 +196,93 @@ def test_forces_and_masses_in_other_units_are_told(mass, factor, words):
     assert len(made.warnings) == len(words)
     for told, word in zip(made.warnings, words, strict=True):
         assert re.match(word, told)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"noise": Noise(position=0.25)}, "noise.position"),
+        ({"gravity": 9810.0}, "gravity"),
+        ({"finger_height": 10.0}, "finger.height"),
+        ({"mass": 1e-7}, "object.mass"),
+        ({"name": 5}, "name must be a str"),
+        ({"noise": 0.001}, "noise must be a Noise"),
+        ({"table": {"shape": "round"}}, "table must be a Table"),
+    ],
+)
+def test_what_files_may_not_say_arrays_may_not_either(tmp_path, settings, complaint):
+    with pytest.raises((DatasetError, TypeError), match=complaint):
+        of_arrays(**settings)
+    if complaint == "gravity":
+        with pytest.raises(DatasetError, match=complaint):
+            write_dataset(replace(of_arrays(), **settings), tmp_path / "pushes")
+        assert not (tmp_path / "pushes").exists()
+
+
+def test_no_radius_is_refused_by_name():
+    with pytest.raises(DatasetError, match="finger radius must be positive"):
+        replace(of_arrays(), finger_radius=None)
+
+
+def test_doubts_about_the_setup_are_told_of_arrays_too():
+    bar = straight_pushes(4)
+    aside = CellGrid(bar.grid.centers + np.array([0.03, 0.0]), bar.grid.width, bar.grid.exterior)
+    pushes = [arrays_of(trial) for trial in bar.trials]
+    made = slipmap.dataset_from_arrays(pushes, aside, finger_radius=RADIUS, finger_height=0.05, height=0.03)
+    assert any("centres lie outside the outline" in text for text in made.warnings)
+    assert any("passes over" in text for text in made.warnings)
+
+
+def test_masked_rows_are_left_out():
+    def masked(push):
+        poses = np.ma.masked_array(push["object_pose"])
+        poses[10:20] = np.ma.masked
+        return push | {"object_pose": poses}
+
+    first = of_arrays(masked).trials[0]
+    assert len(first.object_pose.time) == len(straight_pushes(1).trials[0].object_pose.time) - 10
+
+
+def test_a_push_that_is_kept_stays_in_the_files(tmp_path):
+    def reversed_finger(push):
+        return push | {"tip_pose": push["tip_pose"] * [1.0, -1.0, 1.0]}
+
+    bar = straight_pushes(9)
+    pushes = [arrays_of(trial) for trial in bar.trials]
+    pushes[3] = reversed_finger(pushes[3])
+    settings = {"finger_radius": RADIUS, "tell": lambda text: None}
+    assert len(slipmap.dataset_from_arrays(pushes, bar.grid, **settings).trials) == 8
+    made = slipmap.dataset_from_arrays(pushes, bar.grid, keep_all=True, **settings)
+    read = read_dataset(write_dataset(made, tmp_path / "pushes"), tell=lambda text: None)
+    assert len(made.trials) == len(read.trials) == 9
+
+
+@pytest.mark.parametrize(
+    ("noise", "words"),
+    [
+        (Noise(position=0.05), "noise.position says 50 mm, but rows scatter by 0.0.* mm"),
+        (Noise(angle=0.15), "noise.angle says 8.59°, but rows scatter by .*; is it in rad"),
+        (Noise(tip=0.05), "noise.tip says 50 mm"),
+        (Noise(position=2e-3, angle=0.03, tip=2e-3), None),
+    ],
+)
+def test_a_noise_in_a_wrong_unit_is_told(noise, words):
+    warnings = of_arrays(noise=noise).warnings
+    assert warnings == () if words is None else re.search(words, warnings[0])
+
+
+def test_stamps_that_count_frames_are_told():
+    def counted(push):
+        return {name: np.column_stack([np.arange(len(rows)), rows[:, 1:]]) for name, rows in push.items()}
+
+    assert any("do they count frames" in text for text in of_arrays(counted).warnings)
+
+
+@pytest.mark.parametrize("center", [(0, 0), [0.0, 0.0], np.zeros(2)])
+def test_a_table_is_the_same_however_its_numbers_are_given(center):
+    assert Table("round", center, radius=0.5) == Table("round", (0.0, 0.0), radius=0.5)
+    size = np.array([0.4, 0.3])
+    assert Table("rectangle", center, size=size) == Table("rectangle", (0.0, 0.0), size=(0.4, 0.3))
 
 
 @pytest.mark.parametrize("mass", ["500 g", -1.0, float("nan"), [1.0, 2.0]])

@@ -227,6 +227,15 @@ class TestAcceptedInput:
         results = [self.slider.rollout(MAPS, [p]).poses for p in (made, expected)]
         assert np.array_equal(*results)
 
+    @pytest.mark.parametrize("duration", [0.0, 0.1, 0.4, 0.5, 0.9])  # steps more than two
+    def test_a_force_that_ends_within_a_step_has_its_impulse(self, duration: float) -> None:
+        push = Push.by_force((3.0, 4.0), (0.0, 0.0), duration=(2.0 + duration) * H, steps=STEPS, h=H)
+        assert push.wrench is not None
+        assert H * push.wrench[:, :2].sum(axis=0) == pytest.approx(
+            (2.0 + duration) * H * np.array([3.0, 4.0])
+        )
+        assert not push.wrench[3:].any()
+
     def test_models_can_be_picked(self) -> None:
         rng = np.random.default_rng(13)
         maps = Maps(rng.uniform(0, 1, (4, N)), rng.uniform(0, 1, (4, N)), rng.uniform(0, 1, 4))
