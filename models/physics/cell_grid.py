@@ -74,6 +74,10 @@ class CellGrid:
         """Largest distance of the outline from the frame's origin, m."""
         return float(np.max(np.hypot(*self.exterior.T)))
 
+    def center_of(self, weights: FloatArray) -> FloatArray:
+        """(…, 2) mean of the cells' centres with weights (…, n), such as their masses, object frame, m."""
+        return weights @ self.centers / weights.sum(axis=-1, keepdims=True)
+
     @cached_property
     def edges(self) -> FloatArray:
         """(E, 4) outline edges (x0, y0, x1, y1); the object lies to the left of each edge."""

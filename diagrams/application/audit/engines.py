@@ -70,7 +70,7 @@ class EngineScene:
     @property
     def center_of_mass(self) -> FloatArray:
         """(2,) centre of mass, object frame, m."""
-        return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
+        return self.grid.center_of(self.mass)
 
     @property
     def mean_arm(self) -> float:

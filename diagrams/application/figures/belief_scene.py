@@ -279,9 +279,8 @@ def _add_relief(
     cells = _prisms(grid, heights, what.colors(which, hypothesis))
     place["cells"].set_object(cells, g.MeshBasicMaterial(vertexColors=True))
     place["outline"].set_object(_rim(grid, 0.06 * relief), g.MeshBasicMaterial(color=_hex(INK)))
-    mass = what.values[0, hypothesis]
     length = float(1.12 * heights.max())
-    pin = mass @ grid.centers / mass.sum()
+    pin = grid.center_of(what.values[0, hypothesis])
     thick = 0.025 * relief
     stem, ball = place["center of mass/stem"], place["center of mass/ball"]
     stem.set_object(g.Box([thick, thick, length]), g.MeshBasicMaterial(color=_hex(RED)))

@@ -35,6 +35,12 @@ def test_area_of_the_polygon_leaves_out_holes():
     assert grid.polygon.area == pytest.approx(0.01 - 0.03 * 0.02 / 2)
 
 
+def test_centres_are_weighted_means():
+    grid = CellGrid([[0.08, 0.08], [0.06, 0.08]], 0.02, SQUARE)
+    assert_allclose(grid.center_of(np.array([3.0, 1.0])), [0.075, 0.08])
+    assert_allclose(grid.center_of(np.array([[1.0, 0.0], [2.0, 2.0]])), [[0.08, 0.08], [0.07, 0.08]])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
