@@ -73,13 +73,13 @@ class Noise:
                 object.__setattr__(self, name, max(value, least))
 
 
-def _finite(values: object, count: int) -> bool:
-    """Whether these are so many finite numbers."""
+def _finite_pair(values: object) -> bool:
+    """Whether these are two finite numbers."""
     try:
         numbers = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
         return False
-    return numbers.shape == (count,) and bool(np.isfinite(numbers).all())
+    return numbers.shape == (2,) and bool(np.isfinite(numbers).all())
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ class Table:
 
     def __post_init__(self) -> None:
         check_choice("Table: shape", self.shape, ("round", "rectangle"))
-        if not _finite(self.center, 2):
+        if not _finite_pair(self.center):
             raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
         if self.shape == "round":
             check_positive("Table: radius of a round table", self.radius, "m")
-        elif self.size is None or not _finite(self.size, 2) or min(self.size) <= 0:
+        elif self.size is None or not _finite_pair(self.size) or min(self.size) <= 0:
             raise ValueError(
                 f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
             )

@@ -110,7 +110,7 @@ def replay(
 
     scenario = cell_run.scenario_of(scenario_file, None)
     take_folder(folder)
-    refuse_robots_pushes(folder, "--output")
+    refuse_robots_pushes(folder)
     if json_file is not None:
         check_output(json_file)
     listener = PushListener(scenario, log.stem)
