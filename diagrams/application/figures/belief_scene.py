@@ -291,10 +291,7 @@ def _add_relief(
 
 def _prisms(grid: CellGrid, heights: FloatArray, colors: FloatArray) -> g.TriangularMeshGeometry:
     """Prisms on the cells with heights (n,) and colours (n, 3) on top; their sides are darker."""
-    half = 0.46 * grid.width
-    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    ring = grid.centers[:, None] + corners
-    n = len(grid)
+    ring, n = grid.squares(0.92 * grid.width), len(grid)
     top = np.concatenate([ring, np.broadcast_to(heights[:, None, None], (n, 4, 1))], axis=2)
     low = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
     faces, shades = [top], [np.ones(4)]

@@ -177,9 +177,8 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
 
 def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
     style.draw_outline(axes, belief.grid, color="none", fill=PAPER)
-    corners = belief.grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     squares = PolyCollection(
-        list(belief.grid.centers[:, None] + corners), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
+        list(belief.grid.squares(belief.grid.width)), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
     )
     squares.set_clip_path(style.outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
