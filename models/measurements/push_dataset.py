@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Literal
@@ -357,6 +357,10 @@ class PushDataset(Setup):
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
+
+
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+"""Combines trials and the object's cells into a dataset with everything known about the setup."""
 
 
 def dataset_of(
