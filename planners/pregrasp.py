@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.prediction import uniform_maps
-from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import MakeDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.planners.action_selection import Choice, choose_push
@@ -25,9 +26,6 @@ from slipmap.planners.grasps import Grasp
 from slipmap.planners.push_decisions import Allowed, MadePush, ObjectFell, PushNotMade, World, push_to_goal
 from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.table_push import TablePush
-
-MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
-"""Combines trials and the object's cells into a dataset with everything known about the setup."""
 
 
 def planning_belief(
@@ -148,7 +146,6 @@ class Pregrasp:
     reason: str  # of success or failure, in words
     method: str  # of planning
     belief: Belief  # identified, with all hypotheses
-    goals: tuple[Goal, ...] = ()  # that were available
     goal: Goal | None = None  # the last one aimed at, if any
     pose: FloatArray | None = None  # (3,) last seen, as the tracker reports it, world, if any
     grasp: Grasp | None = None  # the best at this pose; None without success
@@ -196,13 +193,12 @@ def bring_to_edge(
     try:
         ended = push_to_goal(world, known, goals, settings, rng, allowed=allowed, good=graspable)  # 6 and 7
     except ObjectFell as error:
-        return Pregrasp(False, str(error), method, belief, goals=tuple(goals))
+        return Pregrasp(False, str(error), method, belief)
     return Pregrasp(
         success=ended.reached,
         reason=ended.reason,
         method=method,
         belief=belief,
-        goals=tuple(goals),
         goal=ended.goal,
         pose=ended.pose,
         grasp=thing.grasps_at(known.true_pose(ended.pose), world.table)[0] if ended.reached else None,

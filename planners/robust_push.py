@@ -125,7 +125,6 @@ class Scenarios:
 class Foresight:
     """The predicted results of C lines of push with L lengths in S scenarios."""
 
-    lines: ContactLines  # of push
     begins: FloatArray  # (C, 2) finger centre before it moves, world, m
     directions: FloatArray  # (C, 2) unit vectors of the finger's motion, world
     lengths: FloatArray  # (L,) distance that the finger travels after first touch, m
@@ -194,7 +193,7 @@ def foresee(
     tips[beyond] |= margins < np.broadcast_to(scenarios.least_margins, (C, L, S))[beyond]
     fallen = np.logical_or.accumulate(tips, axis=1)
     p = scenarios.probability
-    return Foresight(lines, begins, directions, lengths, poses, fallen, fallen @ p, p, moves)
+    return Foresight(begins, directions, lengths, poses, fallen, fallen @ p, p, moves)
 
 
 def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:

@@ -98,32 +98,28 @@ def diagnose(
     )
     report = progress or silent
     report("planning the next push", 0, 1)
-    push, hopeless = _next_push(result, dataset, seed)
+    push, hopeless = next_push(result, dataset, seed)
     report("planning the next push", 1, 1)
     return replace(result, next_push=push, hopeless=hopeless)
 
 
-def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
-    """The push that a person should make next.
+def next_push(
+    diagnosis: Diagnosis, dataset: PushDataset, seed: int
+) -> tuple[dict[str, Any] | None, str | None]:
+    """The push that a person should make next, and the models that no push would tell apart.
 
     Args:
         seed: of the candidate pushes.
 
     Returns:
-        None if there is nothing to find out, or if no push can be made or would tell; else plain numbers,
-        world frame, m and s:
+        The push: None if there is nothing to find out, or if no push can be made or would tell; else plain
+        numbers, world frame, m and s:
         `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
         `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
         `length` from first touch to stop, `dwell` half-way (0 for none), `separates` (names), `separation` in
         standard deviations of the error model, and a `sentence` with all of this.
+        The models that no push like the recorded ones would tell apart, in words; else None.
     """
-    return _next_push(diagnosis, dataset, seed)[0]
-
-
-def _next_push(
-    diagnosis: Diagnosis, dataset: PushDataset, seed: int
-) -> tuple[dict[str, Any] | None, str | None]:
-    """The push, or the models that no push like the recorded ones would tell apart, in words."""
     if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
         return None, None
     observations = diagnosis.base.likelihood.observations

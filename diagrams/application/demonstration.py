@@ -72,8 +72,7 @@ def tilted_block() -> PushDataset:
 def true_values(belief: Belief, truth: Maps) -> dict[str, float]:
     """True values, SI, by name, of the quantities that an identification reports, for one model's maps."""
     certain = replace(belief, maps=truth, probability=np.ones(1), effects=())
-    load = truth.mass[0] * truth.mu[0]
-    middle = load @ belief.grid.centers / load.sum()
+    middle = belief.grid.center_of(truth.mass[0] * truth.mu[0])
     return {
         "total mass": float(truth.mass.sum()),
         "centre of mass, x": float(certain.centers_of_mass[0, 0]),

@@ -79,7 +79,7 @@ def body_of(belief: Belief, hypothesis: int | None, height: float) -> Body:
         finger = float(maps.mu_finger[hypothesis])
     centers, width = belief.grid.centers, belief.grid.width
     total = float(mass.sum())
-    com = mass @ centers / total
+    com = belief.grid.center_of(mass)
     away = centers - com
     second = (away.T * mass) @ away + total * width**2 / 12.0 * np.eye(2)
     upright = total * height**2 / 12.0

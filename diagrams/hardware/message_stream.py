@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any, cast
 
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.network import HardwareError, open_lcm
@@ -56,16 +56,6 @@ class Event:
         return b"".join((header, name, self.data))
 
 
-class EventLog(Protocol):
-    """A destination for unchanged events."""
-
-    name: str  # of the file
-    count: int  # events written
-
-    def write(self, event: Event) -> None:
-        """Add an event, numbered by its place in the log."""
-
-
 class LcmLog:
     """A log in the format of LCM's logger. Args: file: opened for writing bytes."""
 
@@ -74,7 +64,7 @@ class LcmLog:
         self._file, self.count = file, 0
 
     def write(self, event: Event) -> None:
-        """Add an event."""
+        """Add an event, numbered by its place in the log."""
         self._file.write(replace(event, number=self.count).encode())
         self.count += 1
 

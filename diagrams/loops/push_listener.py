@@ -16,7 +16,8 @@ from pydrake.systems.framework import DiagramBuilder
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import BadMessage, Received, check_stamp, rules
 from slipmap.diagrams.hardware.interface import HeardCell
-from slipmap.diagrams.hardware.message_stream import TICK, Event, EventLog
+from slipmap.diagrams.hardware.mcap_log import McapLog
+from slipmap.diagrams.hardware.message_stream import TICK, Event, LcmLog
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
 from slipmap.diagrams.loops.run_folder import keep_trials
@@ -198,7 +199,7 @@ def record_pushes(
     recorder: PushRecorder,
     tell: Tell,
     *,
-    log: EventLog | None = None,
+    log: LcmLog | McapLog | None = None,
     most: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:

@@ -112,19 +112,13 @@ def _simulated(run: dict[str, Any]) -> bool:
     return run.get("simulated") is True or all(push.get("place") is not None for push in run["pushes"])
 
 
-def refuse_robots_pushes(folder: Path, option: str) -> None:
-    """Refuse a folder with pushes of a robot cell, which cannot be repeated, for a command that makes none.
-
-    Args:
-        option: that chooses another folder.
-
-    Raises:
-        BadInput: names both.
-    """
+def refuse_robots_pushes(folder: Path) -> None:
+    """Raise BadInput for a folder with pushes of a robot cell, which cannot be repeated, for a command that
+    makes none."""
     if (folder / RUN).exists() and (folder / PUSHES).exists():
         raise BadInput(
             f"{folder}: holds a run of the robot cell, whose pushes would be lost; choose another folder"
-            f" with {option}"
+            " with --output"
         )
 
 

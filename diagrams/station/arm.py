@@ -85,19 +85,13 @@ def default_arm_base() -> RigidTransform:
     return RigidTransform(RollPitchYaw(0.0, np.deg2rad(90.0), 0.0), np.array([-0.70, 0.0, 0.6]))
 
 
-def add_arm(
-    plant: MultibodyPlant,
-    X_WB: RigidTransform | None = None,
-    models: str = "primitives",
-    finger_radius: float = FINGER_RADIUS,
-) -> Arm:
+def add_arm(plant: MultibodyPlant, models: str = "primitives", finger_radius: float = FINGER_RADIUS) -> Arm:
     """Add the arm to a plant that is not yet finalized, with its home posture as default.
 
     Parts of arm and gripper do not collide with each other, but with everything else.
 
     Args:
         plant: discrete, with a contact approximation other than `tamsi`, which cannot couple the fingers.
-        X_WB: pose of the base in the world; `default_arm_base` if None.
         models: a key of `ARM_MODELS`. Drake downloads the meshes of `drake_models` on first use.
         finger_radius: of the closed gripper's finger, m.
 
@@ -105,7 +99,7 @@ def add_arm(
         ValueError: an unknown set of models.
         RuntimeError: the models are not available, or the plant cannot couple the fingers.
     """
-    X_WB = default_arm_base() if X_WB is None else X_WB
+    X_WB = default_arm_base()
     iiwa, gripper = _parse(plant, X_WB, models, finger_radius)
     # A single drive moves both fingers; uncoupled, a sideways push would shift both.
     plant.AddCouplerConstraint(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -17,7 +17,8 @@ from slipmap.diagrams.systems.workers import begun
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.prediction import predict
-from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import MakeDataset
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.settings import check_whole
 from slipmap.planners.settings import RepairSettings
@@ -186,7 +187,7 @@ class Diagnosis(PythonSystem):
 
     def __init__(
         self,
-        make_dataset: Callable[[Sequence[Trial], CellGrid], PushDataset],
+        make_dataset: MakeDataset,
         settings: RepairSettings,
         *,
         pushes: int,
@@ -374,9 +375,6 @@ def _after(repair: Repair, finding: Finding, question: Question | None = None) -
         given=repair.given,
         rival=finding.rival,
     )
-
-
-MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 
 def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed: int) -> _Answer:

@@ -12,8 +12,7 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import check_draws, check_method, identify
 from slipmap.models.inference.results import Identification as Learned
-from slipmap.models.measurements import PushDataset, Trial
-from slipmap.models.measurements.push_dataset import Noise, Table, dataset_of
+from slipmap.models.measurements.push_dataset import MakeDataset, Noise, Table, dataset_of
 from slipmap.models.measurements.trial import in_order
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
@@ -77,7 +76,7 @@ class Identification(PythonSystem):
 
     def __init__(
         self,
-        make_dataset: Callable[[Sequence[Trial], CellGrid], PushDataset] | None = None,
+        make_dataset: MakeDataset | None = None,
         *,
         grid: CellGrid | None = None,
         finger_radius: float = FINGER_RADIUS,

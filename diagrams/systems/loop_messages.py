@@ -12,7 +12,7 @@ from slipmap.planners.robust_push import PlannedPush
 class LoopStatus:
     """The loop's present step."""
 
-    mode: str  # one of `MODES`
+    mode: str  # one of `EXPLORING` or `BRINGING`
     push: int  # number of the current or next push, from 0
     attempt: int = 0  # number of the candidate for it, from 0; earlier ones were refused or touched nothing
     # why the loop failed, or, while planning, why the previous candidate was refused or missed; else empty
@@ -55,8 +55,6 @@ BRINGING = (
     "failed",
 )
 """Modes of pushing the object to the table's edge and grasping it, after those of exploration."""
-
-MODES = tuple(dict.fromkeys((*EXPLORING, *BRINGING)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,10 +96,7 @@ def painted(shape: Triangles, color: tuple[float, float, float]) -> Mesh:
 
 def tiles(grid: CellGrid, colors: FloatArray) -> Mesh:
     """A flat box per cell in colours (n, 3), with tops at z = 0, darker sides, and seams between them."""
-    half = 0.46 * grid.width
-    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    ring = (grid.centers[:, None] + corners).reshape(-1, 4, 2)
-    n = len(grid)
+    ring, n = grid.squares(0.92 * grid.width), len(grid)
     top = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
     low = np.concatenate([ring, np.full((n, 4, 1), -_THICKNESS)], axis=2)
     # Twelve vertices per cell: four for the top, eight for the sides.

@@ -368,7 +368,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         return share(maps) @ centers
 
     def com(maps: Maps) -> FloatArray:
-        return maps.mass @ centers / maps.mass.sum(axis=1, keepdims=True)
+        return slider.grid.center_of(maps.mass)
 
     def inertia(maps: Maps) -> FloatArray:
         m, sx, sy, second = slider.inertia(maps.mass).T

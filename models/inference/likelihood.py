@@ -163,8 +163,7 @@ class PushLikelihood(ABC):
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
         poses = np.array([len(observation.poses) for observation in self.observations], dtype=np.int64)
-        times = [push.force_times for push in self._pushes]
-        forces = np.array([0 if own is None else len(own) for own in times], dtype=np.int64)
+        forces = np.array([len(push.force_times) for push in self._pushes], dtype=np.int64)
         self._order = np.lexsort((forces, poses))
         # In that order: which pushes have equally many poses, and how many rows of derivatives each has.
         self._kind = poses[self._order]

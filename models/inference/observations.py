@@ -339,7 +339,6 @@ def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
     if len(forces) == 0 or np.isnan(push.tip).any():
         return np.zeros(len(forces), dtype=bool)
     speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
-    assert push.force_times is not None
     at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
     size = np.hypot(*forces.T)
     steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Literal
@@ -74,13 +74,13 @@ class Noise:
                 object.__setattr__(self, name, max(value, least))
 
 
-def _finite(values: object, count: int) -> bool:
-    """Whether these are so many finite numbers."""
+def _finite_pair(values: object) -> bool:
+    """Whether these are two finite numbers."""
     try:
         numbers = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
         return False
-    return numbers.shape == (count,) and bool(np.isfinite(numbers).all())
+    return numbers.shape == (2,) and bool(np.isfinite(numbers).all())
 
 
 def _pair(values: ArrayLike) -> tuple[float, float]:
@@ -109,12 +109,12 @@ class Table:
 
     def __post_init__(self) -> None:
         check_choice("Table: shape", self.shape, ("round", "rectangle"))
-        if not _finite(self.center, 2):
+        if not _finite_pair(self.center):
             raise ValueError(f"Table: center must be two finite numbers in m, got {self.center}")
         object.__setattr__(self, "center", _pair(self.center))
         if self.shape == "round":
             check_positive("Table: radius of a round table", self.radius, "m")
-        elif self.size is None or not _finite(self.size, 2) or min(self.size) <= 0:
+        elif self.size is None or not _finite_pair(self.size) or min(self.size) <= 0:
             raise ValueError(
                 f"Table: size of a rectangular table must be two positive numbers in m, got {self.size}"
             )
@@ -366,6 +366,10 @@ class PushDataset(Setup):
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
+
+
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+"""Combines trials and the object's cells into a dataset with everything known about the setup."""
 
 
 def dataset_of(

@@ -74,6 +74,14 @@ class CellGrid:
         """Largest distance of the outline from the frame's origin, m."""
         return float(np.max(np.hypot(*self.exterior.T)))
 
+    def center_of(self, weights: FloatArray) -> FloatArray:
+        """(…, 2) mean of the cells' centres with weights (…, n), such as their masses, object frame, m."""
+        return weights @ self.centers / weights.sum(axis=-1, keepdims=True)
+
+    def squares(self, side: float) -> FloatArray:
+        """(n, 4, 2) corners of squares around the cells' centres, counter-clockwise, object frame, m."""
+        return self.centers[:, None] + side / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
     @cached_property
     def edges(self) -> FloatArray:
         """(E, 4) outline edges (x0, y0, x1, y1); the object lies to the left of each edge."""

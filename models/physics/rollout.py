@@ -93,10 +93,6 @@ class Rollouts:
         """(K, S_b, 3, P) derivatives of the poses of one push."""
         return self.d_poses[:, _rows(self.pose_at, push)]
 
-    def d_forces_of(self, push: int) -> FloatArray:
-        """(K, T_b, 2, P) derivatives of the forces of one push."""
-        return self.d_forces[:, _rows(self.force_at, push)]
-
 
 def _rows(at: NDArray[np.int64], push: int) -> slice:
     """Where the rows of one push are; -1 is the last push, as in a list."""

@@ -1,4 +1,4 @@
-"""Engines that are audited: their interface, the reference engine, the built-in ones, and what they push.
+"""Engines that are audited: their interface, the built-in ones, and what they push.
 
 An engine is a class. The audit makes one instance for each scene and direction of gravity, places the object
 with `reset`, and advances with `step`; it only observes `pose`.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -20,14 +20,13 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect, failure
+from slipmap.models.effects.effect import failure
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import placed, rotated
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.stepper import Stepper
 
 AWAY = np.array([8.0, 8.0])  # finger position where it must not touch, m
 SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02  # s
@@ -70,7 +69,7 @@ class EngineScene:
     @property
     def center_of_mass(self) -> FloatArray:
         """(2,) centre of mass, object frame, m."""
-        return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
+        return self.grid.center_of(self.mass)
 
     @property
     def mean_arm(self) -> float:
@@ -121,44 +120,6 @@ class Engine(Protocol):
 
     def pose(self) -> FloatArray:
         """(3,) x, y, θ of the object frame, world, m and rad."""
-
-
-class CoulombEngine:
-    """The model itself; a subclass may add effects for the audit to find."""
-
-    dt: ClassVar[float] = 2e-3
-    effects: ClassVar[Sequence[Effect]] = ()
-    parameters: ClassVar[Sequence[float]] = ()  # of the effects
-
-    def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
-        self._scene, self._gravity = scene, np.asarray(gravity, dtype=float)
-        self._stepper = Stepper(
-            scene.grid, scene.finger_radius, self.dt, self.effects, gravity=-float(self._gravity[2])
-        )
-        maps = scene.maps
-        self._models = self._stepper.models(
-            Maps(maps.mass, maps.mu, maps.mu_finger, np.array([self.parameters], dtype=float))
-        )
-
-    def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
-        """See `Engine`."""
-        twist = np.array([[*rotated(velocity[:2], -pose[2]), velocity[2]]])
-        self._state = self._stepper.start(self._models, np.asarray(pose, dtype=float), twist)
-
-    def step(
-        self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
-    ) -> FloatArray:
-        """See `Engine`."""
-        along = self._scene.mass.sum() * self._gravity[:2]
-        wrench = np.array([*along, *self._scene.center_of_mass, 0.0])
-        self._state, _ = self._stepper.step(
-            self._models, self._state, wrench=wrench, tip=np.array([tip, next_tip])
-        )
-        return np.asarray(self._state[0, 6:8])
-
-    def pose(self) -> FloatArray:
-        """See `Engine`."""
-        return np.asarray(self._state[0, :3])
 
 
 class Subject:

@@ -47,7 +47,7 @@ _LAID, _CREPT = 0.25, 0.25  # s for which a loaded object settles, and is then o
 # times Coulomb's; and for how long, s
 _STEEP, _SLID = 4.0, 0.15
 _RELEASED = 0.03  # s for which an object must keep most of the velocity that it is given
-Report = Callable[[int], None]  # called with the number of finished probes
+Report = Callable[[int], None]  # called with the number of finished probes or pushes
 COUNT = 4 + len(DIRECTIONS) + len(DIRECTIONS) // 3 + 4 + 2 * len(STEADY_SPEEDS) + len(SPINS) + 3
 """Number of probes of one engine at one time step."""
 

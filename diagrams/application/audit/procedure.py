@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,8 +38,6 @@ _LAWS = (
     "finger_compliance",
 )  # fmt: skip
 """Effects that an engine may have: other laws of friction, load and contact."""
-
-Report = Callable[[int], None]  # called with the number of finished pushes
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +95,7 @@ def standard_pushes() -> StandardPushes:
     return StandardPushes(scene, tuple(candidates), starts, times, ends, moved)
 
 
-def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Pushed:
+def push_all(subject: Subject, standard: StandardPushes, report: probes.Report) -> Pushed:
     """Run the pushes in an engine.
 
     Raises:

@@ -39,7 +39,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
     take_folder(folder)
-    refuse_robots_pushes(folder, "--output")
+    refuse_robots_pushes(folder)
     place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:
         prepare_kernels()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
 from itertools import combinations
 from pathlib import Path
@@ -334,7 +334,9 @@ def _check(command: click.Command, arguments: dict[str, Any]) -> None:
     written: list[tuple[str, Path]] = []
     read: list[Path] = []
     for param in command.params:
-        for path in _paths(arguments.get(param.name or "")):
+        for path in _listed(arguments.get(param.name or "")):
+            if not isinstance(path, Path):
+                continue
             if isinstance(param.type, OutputFile) or param.name in _FILES_IN_FOLDERS:
                 written.append((param.opts[-1], path))
                 if path.suffix.lower() == ".npz":  # a belief, beside which pictures are drawn
@@ -361,7 +363,3 @@ def _is_part(path: Path, source: Path) -> bool:
     if not (source.is_dir() and path.is_file() and path.suffix.lower() in _MEASURED):
         return False
     return path.resolve().is_relative_to(source.resolve())
-
-
-def _paths(value: Any) -> Iterator[Path]:
-    return (entry for entry in _listed(value) if isinstance(entry, Path))

@@ -19,7 +19,8 @@ from slipmap.diagrams.application.terminal import Progress, counted, note, parag
 from slipmap.models.files import BadInput, all_or_nothing, write_json, writing
 
 if TYPE_CHECKING:
-    from slipmap.diagrams.hardware.message_stream import EventLog
+    from slipmap.diagrams.hardware.mcap_log import McapLog
+    from slipmap.diagrams.hardware.message_stream import LcmLog
     from slipmap.diagrams.loops.push_listener import PushListener
     from slipmap.models.inference.camera_lag import CameraLag
     from slipmap.models.measurements import PushDataset
@@ -110,7 +111,7 @@ def replay(
 
     scenario = cell_run.scenario_of(scenario_file, None)
     take_folder(folder)
-    refuse_robots_pushes(folder, "--output")
+    refuse_robots_pushes(folder)
     if json_file is not None:
         check_output(json_file)
     listener = PushListener(scenario, log.stem)
@@ -184,7 +185,7 @@ def _lag_words(lag: CameraLag | None) -> str:
 
 
 @contextmanager
-def _new_log(path: Path) -> Iterator[EventLog]:
+def _new_log(path: Path) -> Iterator[LcmLog | McapLog]:
     """A log at a new path, which is free again if the block fails before anything is in the log."""
     check_output(path)
     if path.exists():
@@ -192,7 +193,7 @@ def _new_log(path: Path) -> Iterator[EventLog]:
     from slipmap.diagrams.hardware.mcap_log import McapLog
     from slipmap.diagrams.hardware.message_stream import LcmLog
 
-    log: EventLog | None = None
+    log: LcmLog | McapLog | None = None
     with writing(path), open(path, "xb") as file:
         try:
             if path.suffix.lower() == MCAP_ENDING:

@@ -279,9 +279,8 @@ def _add_relief(
     cells = _prisms(grid, heights, what.colors(which, hypothesis))
     place["cells"].set_object(cells, g.MeshBasicMaterial(vertexColors=True))
     place["outline"].set_object(_rim(grid, 0.06 * relief), g.MeshBasicMaterial(color=_hex(INK)))
-    mass = what.values[0, hypothesis]
     length = float(1.12 * heights.max())
-    pin = mass @ grid.centers / mass.sum()
+    pin = grid.center_of(what.values[0, hypothesis])
     thick = 0.025 * relief
     stem, ball = place["center of mass/stem"], place["center of mass/ball"]
     stem.set_object(g.Box([thick, thick, length]), g.MeshBasicMaterial(color=_hex(RED)))
@@ -292,10 +291,7 @@ def _add_relief(
 
 def _prisms(grid: CellGrid, heights: FloatArray, colors: FloatArray) -> g.TriangularMeshGeometry:
     """Prisms on the cells with heights (n,) and colours (n, 3) on top; their sides are darker."""
-    half = 0.46 * grid.width
-    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    ring = grid.centers[:, None] + corners
-    n = len(grid)
+    ring, n = grid.squares(0.92 * grid.width), len(grid)
     top = np.concatenate([ring, np.broadcast_to(heights[:, None, None], (n, 4, 1))], axis=2)
     low = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
     faces, shades = [top], [np.ones(4)]

@@ -119,17 +119,6 @@ def maps_figure(belief: Belief | Identification, *, truth: Maps | None = None, h
     return _drawn(belief, columns, rows)
 
 
-def centers_of_friction(belief: Belief, maps: Maps) -> FloatArray:
-    """(K, 2) mean position of each model's cells weighted by mass × friction, object frame, m."""
-    load = maps.mass * maps.mu
-    return load @ belief.grid.centers / load.sum(axis=1, keepdims=True)
-
-
-def centers_of_mass(belief: Belief, maps: Maps) -> FloatArray:
-    """(K, 2) centre of mass of each model, object frame, m."""
-    return maps.mass @ belief.grid.centers / maps.mass.sum(axis=1, keepdims=True)
-
-
 def _columns(belief: Belief, truth: Maps | None, hypotheses: int) -> list[_Column]:
     p = belief.probability
     order = np.argsort(-p, kind="stable")[:hypotheses]
@@ -188,9 +177,8 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
 
 def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
     style.draw_outline(axes, belief.grid, color="none", fill=PAPER)
-    corners = belief.grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     squares = PolyCollection(
-        list(belief.grid.centers[:, None] + corners), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
+        list(belief.grid.squares(belief.grid.width)), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
     )
     squares.set_clip_path(style.outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
@@ -206,9 +194,9 @@ def _marks(
     """Draw ring and cross, with a white seam (points) that sets them off from the colours."""
     marks = []
     if friction:
-        marks.append((centers_of_friction(belief, maps)[0], _RING))
+        marks.append((belief.grid.center_of(maps.mass * maps.mu)[0], _RING))
     if mass:
-        marks.append((centers_of_mass(belief, maps)[0], _CROSS))
+        marks.append((belief.grid.center_of(maps.mass)[0], _CROSS))
     for place, how in marks:
         if seam:
             wider = how["markeredgewidth"] + seam

@@ -144,10 +144,9 @@ def draw_cells(
         >>> len(cells.get_paths()) == len(grid)
         True
     """
-    corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     # Edges as wide as a pixel cover the seams between squares, through which the ground would shine.
     squares = PolyCollection(
-        list(placed(grid.centers[:, None] + corners, np.asarray(pose, dtype=float))),
+        list(placed(grid.squares(grid.width), np.asarray(pose, dtype=float))),
         array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.8,
     )  # fmt: skip
     squares.set_clip_path(outline_path(grid, pose), axes.transData)

@@ -98,10 +98,9 @@ def _one_object(rng: np.random.Generator, index: int, kind: str) -> list[tuple[s
     result = identify(dataset, seed=index)
     belief = result.belief
     p = belief.probability
-    com = (truth.mass @ grid.centers / truth.mass.sum(axis=1, keepdims=True))[0]
     friction = float((truth.mass * truth.mu).sum() * slider.gravity)
     told = {name: fact for fact in result.quantities for name in QUANTITIES if fact.name.startswith(name)}
-    known = (*com.tolist(), friction, float(friction_arms(grid, truth)[0]))
+    known = (*grid.center_of(truth.mass)[0].tolist(), friction, float(friction_arms(grid, truth)[0]))
     found = [
         (name, _rank(told[name].low, told[name].high, p, value, log="friction" in name))
         for name, value in zip(QUANTITIES, known, strict=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -26,7 +27,7 @@ _NO_TABLES = ("readme", "license")  # starts of names of texts that are not tabl
 KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
 
 
-def find_files(paths: Sequence[Path]) -> dict[str, Path]:
+def find_files(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> dict[str, Path]:
     """Files that can be read, in order, by their names for a setup.yaml; in a folder, the path inside it.
 
     Files of a folder are in the order of their names, in which numbers count by value.
@@ -35,7 +36,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
         DatasetError: a missing path, a file of another kind, or a folder without readable files.
     """
     found: dict[str, Path] = {}
-    for path in paths:
+    for path in map(Path, [sources] if isinstance(sources, str | os.PathLike) else sources):
         if not path.exists():
             raise DatasetError(f"{str(path)!r}: there is no such file or folder")
         if not path.is_dir() or _is_table(path):

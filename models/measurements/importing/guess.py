@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -79,8 +78,7 @@ def guess_setup(sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str
         >>> print(guess_setup(file).splitlines()[6])
           angle: block_yaw
     """
-    paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
-    files = find_files(paths)
+    files = find_files(sources)
     found: list[_Found] = []
     odd: dict[str, str] = {}
     patterns = _patterns(list(files))

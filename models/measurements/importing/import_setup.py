@@ -216,8 +216,7 @@ def _names(value: object, counts: Sequence[int], where: str) -> tuple[str, ...]:
 def _unit(value: object, where: str, force: bool) -> dict[str, float]:
     """Units by quantity; a single unit is that of the position or of the force."""
     if isinstance(value, str):
-        kinds = ("force",) if force and value in UNITS["force"] else ("position",)
-        said = {kind: value for kind in kinds}
+        said = {"force" if force and value in UNITS["force"] else "position": value}
     else:
         said = parsing.mapping(value, where)
     result = {}

@@ -91,14 +91,13 @@ def import_dataset(
         >>> [trial.name for trial in dataset.trials], dataset.trials[0].tip_pose.values[0].round(3).tolist()
         (['push.txt'], [-0.026, 0.0])
     """
-    paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
     where = str(setup)
     content, document = parsing.read_yaml(Path(setup), where)
     fingerprint = Fingerprint()
     fingerprint.add("setup.yaml", content)
     described = object_document(object_name, fingerprint) if object_name else None
     said = parse_import_setup(document, where, Path(setup).stem, described)
-    files = find_files(paths)
+    files = find_files(sources)
     groups = _recordings(files, said, where)
     reader = _Files(files, said, fingerprint)
     found: dict[str, _Recording | DatasetError] = {}

@@ -109,8 +109,7 @@ if "SLIPMAP_KILL_PLAN" in os.environ:
     watch(json.loads(os.environ.pop("SLIPMAP_KILL_PLAN")))
 """
 SMALL = "camera: {width: 480, height_pixels: 360, rate: 5.0}\nsimulation: {time_step: 0.005}\n"
-COARSE = """
-from slipmap.diagrams.application.audit.engines import CoulombEngine
+COARSE = f"""{(Path(__file__).parent / "audit" / "coulomb_engine.py").read_text()}
 
 class Coarse(CoulombEngine):
     dt = 4e-3

@@ -23,7 +23,6 @@ from slipmap.diagrams.application.figures import (
     push_figures,
     save,
 )
-from slipmap.diagrams.application.figures.map_figures import centers_of_friction, centers_of_mass
 from slipmap.diagrams.application.figures.study_figures import curves_figure, inside_share
 from slipmap.diagrams.application.figures.style import (
     PlainNumbers,
@@ -112,17 +111,6 @@ def test_scales_are_logarithmic_where_totals_differ_widely(belief):
     )
     mass, mu, _ = coloured(maps_figure(replace(belief, maps=wide)))[:3]
     assert isinstance(mass[1], LogNorm) and not isinstance(mu[1], LogNorm)
-
-
-def test_centres_are_weighted_means(belief):
-    heavy = np.full((1, 24), 1e-9)
-    heavy[0, 3] = 1.0
-    rough = np.full((1, 24), 1e-9)
-    rough[0, 7] = 1e9
-    maps = Maps(heavy, rough, np.array([0.3]))
-    np.testing.assert_allclose(centers_of_mass(belief, maps)[0], belief.grid.centers[3], atol=1e-6)
-    even = Maps(np.ones((1, 24)), rough, np.array([0.3]))
-    np.testing.assert_allclose(centers_of_friction(belief, even)[0], belief.grid.centers[7], atol=1e-6)
 
 
 def pushes_of(belief, count):

@@ -35,6 +35,18 @@ def test_area_of_the_polygon_leaves_out_holes():
     assert grid.polygon.area == pytest.approx(0.01 - 0.03 * 0.02 / 2)
 
 
+def test_centres_are_weighted_means():
+    grid = CellGrid([[0.08, 0.08], [0.06, 0.08]], 0.02, SQUARE)
+    assert_allclose(grid.center_of(np.array([3.0, 1.0])), [0.075, 0.08])
+    assert_allclose(grid.center_of(np.array([[1.0, 0.0], [2.0, 2.0]])), [[0.08, 0.08], [0.07, 0.08]])
+
+
+def test_squares_lie_around_the_cells():
+    grid = CellGrid([[0.08, 0.08], [0.06, 0.08]], 0.02, SQUARE)
+    corners = [[0.055, 0.075], [0.065, 0.075], [0.065, 0.085], [0.055, 0.085]]
+    assert_allclose(grid.squares(0.01)[1], corners)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

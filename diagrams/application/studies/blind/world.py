@@ -59,11 +59,6 @@ class World:
         target = plan.path.positions(self._step * np.arange(steps + 2, dtype=float))
         return self._run(plan.pose, np.zeros(3), target, index, count)
 
-    def coast(self, pose: FloatArray, twist: FloatArray, duration: float) -> Motion:
-        """Let the object slide freely, with the finger far away."""
-        steps = int(np.ceil(duration / self._step))
-        return self._run(pose, twist, np.full((steps + 2, 2), 50.0), 0, 1)
-
     def _run(self, pose: FloatArray, twist: FloatArray, target: FloatArray, index: int, count: int) -> Motion:
         h, plant, context, effect = self._step, self._plant, self._context, self._effect
         positions, velocities = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())

@@ -15,7 +15,7 @@ import pytest
 from schemas import assert_as_described
 
 from slipmap.diagrams.application.audit import engines, probes
-from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, CoulombEngine, Subject, plain_scene
+from slipmap.diagrams.application.audit.engines import GRAVITY, LEVEL, MU, Subject, plain_scene
 from slipmap.diagrams.application.audit.probes import Measure, measures
 from slipmap.diagrams.application.audit.procedure import explain, push_all, standard_pushes
 from slipmap.diagrams.application.command_line import run
@@ -24,6 +24,7 @@ from slipmap.models.effects import LIBRARY
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.cell_grid import FloatArray
+from tests.diagrams.application.audit.coulomb_engine import CoulombEngine
 
 EFFECTS = {effect.name: effect for effect in LIBRARY}
 
@@ -156,7 +157,7 @@ def test_the_effect_that_is_hidden_explains_the_pushes() -> None:
 
 
 ENGINE = """
-from slipmap.diagrams.application.audit.engines import CoulombEngine
+from tests.diagrams.application.audit.coulomb_engine import CoulombEngine
 
 class Engine(CoulombEngine):
     dt = 4e-3

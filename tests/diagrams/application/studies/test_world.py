@@ -69,8 +69,11 @@ def straight(speed, duration, start=(-0.058, 0.0)):
     return PushPlan("medium", "moving", duration, np.zeros(3), path)
 
 
-def coasted(effect, velocity, duration=0.4, thing=None):
-    return World(thing or block(), effect).coast(np.zeros(3), np.asarray(velocity, dtype=float), duration)
+def coasted(effect, velocity, duration=0.4, thing=None, step=5e-4):
+    """The object slides freely, with the finger far away."""
+    far = np.full((int(np.ceil(duration / step)) + 2, 2), 50.0)
+    world = World(thing or block(), effect, step=step)
+    return world._run(np.zeros(3), np.asarray(velocity, dtype=float), far, 0, 1)
 
 
 def test_a_sliding_block_stops_after_v2_over_2_mu_g():
@@ -109,7 +112,7 @@ def test_sliding_and_turning_agree_with_an_adaptive_integration_of_exact_coulomb
 
     v = start[:2] + start[2] * np.array([-middle[1], middle[0]])
     moving = 0.06  # s
-    motion = World(thing, Effect(), step=1e-4).coast(np.zeros(3), start, moving)
+    motion = coasted(Effect(), start, moving, thing, step=1e-4)
     span = (0, motion.clock[-1])
     end = solve_ivp(rate, span, [*middle, 0.0, *v, start[2]], rtol=1e-8, atol=1e-10).y[:3, -1]
     x, y, angle = motion.poses[-1]
