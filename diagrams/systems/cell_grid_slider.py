@@ -122,7 +122,8 @@ def CellGridSlider_(T: type) -> type:
         Inputs, both optional:
             wrench: (5,) force on the object (world, N), the point at which it acts (object frame, m) and a
                 torque (N m), constant over a step, as in `Push.wrench`.
-            finger: (4,) centre of the finger (world, m) and its velocity (m/s), constant over the step;
+            finger: (4,) centre of the finger (world, m) and its velocity (m/s), constant over the step, in
+                which it does not turn;
                 NaN where there is no finger.
 
         Outputs:

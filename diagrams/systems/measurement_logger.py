@@ -20,7 +20,7 @@ from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.trial import Channel, Role
-from slipmap.models.measurements.trial_tables import turning
+from slipmap.models.measurements.trial_tables import if_turning, unwrapped
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.settings import check_positive, check_whole
@@ -64,7 +64,7 @@ class _Recording:
         name = f"trials/{len(self.trials):03d}.json"
         forces = channel(self.forces) if self.forces else None
         pose, finger = channel(poses), channel(self.tips)
-        angle = turning(np.column_stack([finger.time, finger.values]))
+        angle = if_turning(Channel(finger.time, unwrapped(finger.values[:, 2])[:, None]))
         tip = Channel(finger.time, finger.values[:, :2])
         trial = Trial(name, role, pose, tip, forces, order=len(self.trials), tip_angle=angle)
         return _Recording((*self.trials, trial), self.looks, missed=self.missed)

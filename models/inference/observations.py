@@ -23,6 +23,7 @@ from slipmap.models.measurements import (
 )
 from slipmap.models.measurements.motion import interpolated, smooth_track
 from slipmap.models.measurements.rim_checks import beside_table
+from slipmap.models.measurements.trial_tables import smoothed_angle
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, Smoothing
@@ -330,8 +331,7 @@ def _angle(trial: Trial, times: FloatArray) -> FloatArray | None:
     if trial.tip_angle is None:
         return None
     own, angle = trial.tip_angle.time, trial.tip_angle.values[:, 0]
-    rows = 1 + round(0.1 / float(np.median(np.diff(own))))
-    return np.interp(times, own - trial.start, uniform_filter1d(angle, rows, mode="nearest"))
+    return np.interp(times, own - trial.start, smoothed_angle(own, angle))
 
 
 def _sliding(push: Push, forces: FloatArray) -> np.ndarray:

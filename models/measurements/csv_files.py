@@ -30,6 +30,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "object_theta": ANGLES,
     "tip_x": LENGTHS,
     "tip_y": LENGTHS,
+    "tip_theta": ANGLES,
     "force_x": FORCES,
     "force_y": FORCES,
     "force_tau": TORQUES,
@@ -43,7 +44,8 @@ PUSH_COLUMN = "push_id"
 
 _OPTIONAL = CHANNELS["ft_wrench"]
 _FORCE, _TORQUE = _OPTIONAL[:2], _OPTIONAL[2]
-_REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
+_ANGLE = "tip_theta"  # optional too
+_REQUIRED = tuple(name for name in _UNITS if name not in (*_OPTIONAL, _ANGLE))
 
 
 class CsvColumns(NamedTuple):
@@ -59,7 +61,8 @@ class CsvColumns(NamedTuple):
         required, optional = (
             ", ".join(self.names[name] for name in group) for group in (_REQUIRED, _OPTIONAL)
         )
-        return f"expected columns are {required} and, if force was measured, {optional}"
+        turning = f"if the finger turns, {self.names[_ANGLE]} too"
+        return f"expected columns are {required} and, if force was measured, {optional}; {turning}"
 
 
 STANDARD = CsvColumns({name: name for name in _UNITS}, dict.fromkeys(_UNITS, 1.0))
@@ -150,7 +153,8 @@ def _channels(column: Mapping[str, FloatArray], where: str, columns: CsvColumns)
     for channel, names in CHANNELS.items():
         if all(ours in column for ours in names):
             values = np.column_stack([column[ours] for ours in names])
-            tables[channel] = np.column_stack([column["t"], values])
+            also = [column[_ANGLE]] if channel == "tip_pose" and _ANGLE in column else []
+            tables[channel] = np.column_stack([column["t"], values, *also])
             untimed = np.flatnonzero(np.isnan(column["t"]) & ~np.isnan(values).all(axis=1))
             if len(untimed):
                 time = columns.names["t"]

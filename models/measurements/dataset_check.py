@@ -217,7 +217,7 @@ def _turning_finger(dataset: PushDataset) -> list[Finding]:
     if not turns:
         return []
     text = f"turns by up to {np.degrees(max(turns)):.0f}° in {len(turns)} of {len(dataset.trials)} pushes"
-    return [Finding("finger", f"{text}, and so rolls along the object", "good")]
+    return [Finding("finger", f"{text}, and so rolls along the object", "note", "is that its angle?")]
 
 
 def _rates(dataset: PushDataset) -> list[Finding]:

@@ -142,8 +142,8 @@ def dataset_from_arrays(
 
     Raises:
         DatasetError: an array of another shape, times that do not increase, numbers too large for their unit,
-            or a description that a file may not have, such as a radius that is not positive; names push and
-            array.
+            or a description that a file must not contain, such as a radius that is not positive; names push
+            and array.
         ValueError: a number of held-out pushes that is no whole number from 0.
         TypeError: something else than mappings of arrays and a grid.
 

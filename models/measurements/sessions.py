@@ -12,6 +12,7 @@ from slipmap.models.geometry import angle_between
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import Setup, gaps
 from slipmap.models.measurements.trial import Channel, DatasetError, Trial
+from slipmap.models.measurements.trial_tables import if_turning
 from slipmap.models.physics.cell_grid import FloatArray
 
 _AWAY = 0.02  # m between the finger's rim and the object
@@ -217,8 +218,9 @@ def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | No
         return None
     if float(np.max(_displacement(pose.values, pose.values[0], reach))) < _PUSHED:
         return None
-    angle = trial.tip_angle and _part(trial.tip_angle, begin, end)
-    return Trial(trial.name, trial.role, pose, tip, channels.get("ft_wrench"), tip_angle=angle)
+    angle = None if trial.tip_angle is None else _part(trial.tip_angle, begin, end)
+    turns = None if angle is None else if_turning(angle)
+    return Trial(trial.name, trial.role, pose, tip, channels.get("ft_wrench"), tip_angle=turns)
 
 
 def _part(channel: Channel, begin: float, end: float) -> Channel | None:

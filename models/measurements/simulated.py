@@ -10,6 +10,7 @@ import shapely
 from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, gaps
 from slipmap.models.measurements.trial import Channel, Role, Trial
+from slipmap.models.measurements.trial_tables import if_turning
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.models.settings import check_kind, check_several
@@ -110,7 +111,8 @@ def record_pushes(
         wrench = _wrench(slider.grid, push, poses, rollouts.forces_of(index)[0], rate)
         force, angle = noise.force or 0.0, None
         if push.tip_angle is not None:
-            angle = Channel(push.pose_times, np.interp(push.pose_times, _ends(push), push.tip_angle)[:, None])
+            turned = np.interp(push.pose_times, _ends(push), push.tip_angle)
+            angle = if_turning(Channel(push.pose_times, turned[:, None]))
         trials.append(
             Trial(
                 f"trials/{index:03d}.json",

@@ -148,8 +148,10 @@ class Trial:
             columns, found = len(CHANNELS[what]), channel.values.shape[1]
             if found != columns:
                 raise DatasetError(f"{self.name}: {what} needs {columns} columns besides time, has {found}")
-        if self.tip_angle is not None and self.tip_angle.values.shape[1] != 1:
-            raise DatasetError(f"{self.name}: tip_angle needs one column besides time")
+        if self.tip_angle is not None:
+            check_kind(f"{self.name}: tip_angle", self.tip_angle, Channel, "with one column, in rad")
+            if self.tip_angle.values.shape[1] != 1:
+                raise DatasetError(f"{self.name}: tip_angle needs one column besides time")
 
     @property
     def channels(self) -> dict[str, Channel]:

@@ -22,7 +22,7 @@ from slipmap.models.measurements.contact import (
     force_complaint,
 )
 from slipmap.models.measurements.foreign_frames import exchanged, frame_change
-from slipmap.models.measurements.motion import pose_scatter, row_noise, spread_rows, stamp_jitter
+from slipmap.models.measurements.motion import row_noise, spread_rows, stamp_jitter
 from slipmap.models.measurements.push_dataset import LEAST_PER_AREA, MOST_PER_AREA, Setup, gaps
 from slipmap.models.measurements.rim_checks import beside_table, beyond_table
 from slipmap.models.measurements.sessions import carried_text, carries
@@ -241,40 +241,40 @@ def jittering(trials: Sequence[Trial]) -> tuple[str, str] | None:
 def _overstated_noise(setup: Setup, trials: Sequence[Trial]) -> tuple[str, str] | None:
     """What is odd, and what to do, if a declared noise is far above the scatter of the rows, and above any
     tracker's; else None."""
-    dense = [trial for trial in trials if not trial.ends_only and len(trial.object_pose.time) >= _DENSE]
-    if not dense:
-        return None
-    scatter = [
-        [*pose_scatter(*_rows(trial.object_pose)), *row_noise(*_rows(trial.tip_pose))] for trial in dense
-    ]
-    x, y, angle, *tip = np.median(scatter, axis=0)
-    for key, size, unit, seen, least in (
-        ("position", 1e-3, "mm", max(x, y), _WORST_TRACKER[0]),
-        ("angle", np.radians(1.0), "°", angle, _WORST_TRACKER[1]),
-        ("tip", 1e-3, "mm", max(tip), _WORST_TRACKER[0]),
+    poses = [trial.object_pose for trial in trials if not trial.ends_only]
+    turning = [pose for pose in poses if np.ptp(pose.values[:, 2]) > 0.0]  # an angle may be held, if not seen
+    for key, size, unit, channels, columns, least in (
+        ("position", 1e-3, "mm", poses, slice(2), _WORST_TRACKER[0]),
+        ("angle", np.radians(1.0), "°", turning, slice(2, 3), _WORST_TRACKER[1]),
+        ("tip", 1e-3, "mm", [trial.tip_pose for trial in trials], slice(2), _WORST_TRACKER[0]),
     ):
         declared = getattr(setup.noise, key)
-        if declared is not None and declared > max(least, _OVERSTATED * seen):
+        dense = [channel for channel in channels if len(channel.time) >= _DENSE]
+        if declared is None or declared <= least or not dense:
+            continue
+        seen = np.median([row_noise(one.time, one.values[:, columns]).max() for one in dense])
+        if declared > _OVERSTATED * seen:
             space = "" if unit == "°" else " "
             return (
                 f"noise.{key} says {declared / size:.3g}{space}{unit}, but rows scatter by"
                 f" {seen / size:.2g}{space}{unit}",
-                f"is it in {'rad' if unit == '°' else 'm'}? Under so much noise pushes teach hardly anything",
+                f"is it in {'rad' if unit == '°' else 'm'}? With this much noise, little can be learned",
             )
     return None
 
 
-def _rows(channel: Channel) -> tuple[FloatArray, FloatArray]:
-    return channel.time, channel.values
-
-
 def _counted(trials: Sequence[Trial]) -> tuple[str, str] | None:
     """What is odd, and what to do, if the stamps count rows; else None."""
-    times = [trial.object_pose.time for trial in trials if len(trial.object_pose.time) >= _DENSE]
+    times = [
+        channel.time
+        for trial in trials
+        for channel in (trial.object_pose, trial.tip_pose)
+        if len(channel.time) >= _DENSE
+    ]
     if not times or not all((np.diff(time) == 1.0).all() for time in times):
         return None
     return (
-        "the stamps of object_pose are 1 s apart",
+        "the stamps of object and finger are 1 s apart",
         "do they count frames? Times must be in s; slipmap import makes them with `rate` in a setup.yaml",
     )
 

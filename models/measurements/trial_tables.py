@@ -5,9 +5,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
 
+from slipmap.models.geometry import angle_between
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
+from slipmap.models.measurements.motion import row_noise
 from slipmap.models.measurements.trial import CHANNELS, Channel, DatasetError, Role, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -19,8 +22,9 @@ _LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
 LONGEST_PUSH = 1000.0  # s
 _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
-_TURNS = 0.05  # rad, turn of a finger that counts
-_LARGEST_ANGLE = 1e3  # rad
+_TURNS, _TIMES_NOISE = 0.05, 5.0  # rad, and times its noise, by which a finger must turn to count
+_STRAY = 0.2  # rad off the median of five rows
+_LARGEST_ANGLE = 5e3  # rad
 
 IN_DEGREES = "Angles must be in rad; were these degrees?"
 
@@ -39,9 +43,9 @@ def trial_from_tables(
 ) -> tuple[Trial, list[str]]:
     """Build a trial from the tables `object_pose`, `tip_pose` and, if measured, `ft_wrench`.
 
-    Rows in which a used column is NaN are dropped, as are tracker rows that cannot be true (see
-    `sound_rows`); theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
-    empty `ft_wrench` counts as not measured.
+    Rows with a NaN are dropped, as are tracker rows that cannot be true (see `sound_rows`); theta is
+    unwrapped over the rest. A finger may lack its theta; the torque of `ft_wrench` counts as 0 where it is
+    NaN. An empty `ft_wrench` counts as not measured.
 
     Args:
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau.
@@ -65,12 +69,13 @@ def trial_from_tables(
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
     tip, rows = _channel(tables, "tip_pose", where)
     tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
-    warnings += doubts
+    angle, of_angle = _tip_angle(tables["tip_pose"], f"{where}, tip_pose")
+    warnings += doubts + of_angle
     refuse_long(pose, where, longest)
     wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
     if len(pose.time) < 2:
         raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
-    return Trial(name, role, pose, tip, wrench, tip_angle=turning(tables["tip_pose"])), warnings
+    return Trial(name, role, pose, tip, wrench, tip_angle=angle), warnings
 
 
 def refuse_long(pose: Channel, where: str, longest: float = LONGEST_PUSH) -> None:
@@ -107,13 +112,34 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
     return channel.chosen(kept), warnings
 
 
-def turning(tip: FloatArray) -> Channel | None:
-    """The angle of a finger, rows (T, 3) or (T, 4) of t, x, y, theta; None if it does not turn."""
-    if tip.shape[1] < COLUMNS:
+def _tip_angle(tip: FloatArray, where: str) -> tuple[Channel | None, list[str]]:
+    """The angle of a finger, rows (T, 3) or (T, 4) of t, x, y, theta, if it turns, and doubts about it."""
+    known = tip[np.isfinite(tip).all(axis=1) & (np.abs(tip[:, -1]) < _LARGEST_ANGLE)]  # -9999 is no angle
+    if tip.shape[1] < COLUMNS or not len(known):
+        return None, []
+    angle = if_turning(Channel(known[:, 0], unwrapped(known[:, 3])[:, None]))
+    turn = 0.0 if angle is None else float(np.ptp(angle.values))
+    if turn > _WHOLE_TURN or (turn and (turn := float(np.ptp(known[:, 3]))) > 2.0 * _WHOLE_TURN):
+        return None, [f"{where}: theta turns by {turn:.3g}, so it is not used. {IN_DEGREES}"]
+    return angle, []
+
+
+def if_turning(angle: Channel) -> Channel | None:
+    """A finger's unwrapped angle without stray rows; None if it turns by no more than its noise."""
+    values = angle.values[:, 0]
+    x, y = (median_filter(part, 5, mode="nearest") for part in (np.cos(values), np.sin(values)))
+    off = angle_between(values, np.arctan2(y, x))
+    values = unwrapped(np.where(np.abs(off) > _STRAY, values - off, values))
+    turn = np.ptp(smoothed_angle(angle.time, values))
+    if not turn > max(_TURNS, _TIMES_NOISE * float(row_noise(angle.time, values[:, None])[0])):
         return None
-    tip = tip[np.isfinite(tip).all(axis=1) & (np.abs(tip[:, 3]) < _LARGEST_ANGLE)]  # -9999 is no angle
-    angle = unwrapped(tip[:, 3])
-    return Channel(tip[:, 0], angle[:, None]) if len(angle) and np.ptp(angle) > _TURNS else None
+    return Channel(angle.time, values[:, None])
+
+
+def smoothed_angle(time: FloatArray, angle: FloatArray) -> FloatArray:
+    """(T,) means of an angle over 0.1 s."""
+    rows = 1 + 2 * round(0.05 / float(np.median(np.diff(time)))) if len(time) > 1 else 1
+    return np.asarray(uniform_filter1d(angle, rows, mode="nearest"))
 
 
 def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:

@@ -36,7 +36,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
 
     Raises:
         DatasetError: the target is a file, a dataset while `overwrite` is not set, or another folder; or the
-            dataset's description is one that no file may have, such as a gravity of 9810 m/s².
+            description is one that a file must not contain, such as a gravity of 9810 m/s².
         OSError: the disk is full or not writable; nothing is left behind.
 
     Example:

@@ -50,7 +50,7 @@ _MESSAGES: dict[str, tuple[str, ...]] = {
 TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
 
 _LEVEL = np.radians(15.0)  # tilt beyond which a rotation about the vertical is unreliable
-_UPRIGHT = 0.9  # cosine between a finger and the vertical up to which its angle is known
+_UPRIGHT = 0.9  # cosine of the angle by which a finger may lean
 _STEEP = 30.0  # degrees from the vertical, beyond which an angle about an axis is none on the table
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
@@ -267,9 +267,9 @@ def _pose(
         turns, known = turn
         axes = whole @ turns
         matrices = axes @ to_table.T
-        if name == "tip_pose":  # a finger that leans has no angle about its axis on the table
-            known = known & (np.abs(matrices[:, 2, 2]) > _UPRIGHT)
         theta = np.where(known, np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]), np.nan)
+        if name == "tip_pose":
+            theta = np.where(known, _about_the_vertical(axes), np.nan)
         theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
@@ -293,6 +293,15 @@ def _pose(
     values = np.column_stack([place[:, :2], theta])
     height = place[:, 2] if known_height else np.full(len(place), np.nan)
     return _offset_taken_off(values, channel, name, axes), height, doubts
+
+
+def _about_the_vertical(axes: FloatArray) -> FloatArray:
+    """(T,) angle of a finger about the vertical, NaN where it leans; its own axis is the most upright of the
+    tracked axes (T, 3, 3), columns seen from the table."""
+    upright = np.abs(axes[:, 2])
+    own = int(np.argmax(np.nan_to_num(upright).mean(axis=0)))
+    x, y = axes[:, :2, (own + 1) % 3].T
+    return np.where(upright[:, own] > _UPRIGHT, np.arctan2(y, x), np.nan)
 
 
 def _lies_flat_with_w_first(turns: FloatArray, whole: FloatArray, to_table: FloatArray) -> bool:

@@ -27,7 +27,7 @@ from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.models.geometry import placed, rotated
 from slipmap.models.inference.observations import observe
 from slipmap.models.measurements.trial import Channel, Trial
-from slipmap.models.measurements.trial_tables import turning
+from slipmap.models.measurements.trial_tables import if_turning
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.paper_notation import add
@@ -141,7 +141,8 @@ class ArmCell:
         low = recording[recording[:, 3] < _DOWN]
         moving = np.abs(np.diff(table[:, :3], axis=0)).max(axis=1) > 1e-7
         low[:, 0] -= low[0, 0]
-        time, angle = low[:, 0], turning(low[:, [0, 1, 2, 7]])
+        time = low[:, 0]
+        angle = if_turning(Channel(time, np.unwrap(low[:, 7])[:, None]))
         ends = low[[0, -1], 4:7]
         ends[:, 2] = np.unwrap(ends[:, 2])
         pose, tip = Channel(time[[0, -1]], ends), Channel(time, low[:, 1:3])

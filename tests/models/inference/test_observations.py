@@ -187,6 +187,8 @@ def test_a_finger_turns_as_recorded_also_with_long_steps():
         np.testing.assert_allclose(push.tip_angle[inner], expected[inner], atol=5e-3)
         assert np.diff(push.tip_angle)[inner].std() / push.h < 0.1  # rad/s; of the rows it is 0.3
     assert observe(trial).push.tip_angle is None
+    once = Channel(time[5:6], np.ones((1, 1)))
+    assert (observe(replace(trial, tip_angle=once)).push.tip_angle == 1.0).all()
 
 
 def _track(observation):

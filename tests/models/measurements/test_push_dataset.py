@@ -16,6 +16,7 @@ from slipmap.models.measurements import (
     read_dataset,
     write_dataset,
 )
+from slipmap.models.measurements.trial_checks import check_trials
 from slipmap.models.physics.cell_grid import CellGrid
 
 
@@ -267,15 +268,33 @@ def test_a_push_that_is_kept_stays_in_the_files(tmp_path):
     ],
 )
 def test_a_noise_in_a_wrong_unit_is_told(noise, words):
-    warnings = of_arrays(noise=noise).warnings
+    def turned(push):
+        poses = push["object_pose"]
+        return push | {"object_pose": poses + 0.02 * np.outer(poses[:, 1] - poses[0, 1], [0, 0, 0, 1])}
+
+    warnings = of_arrays(turned, noise=noise).warnings
     assert warnings == () if words is None else re.search(words, warnings[0])
 
 
-def test_stamps_that_count_frames_are_told():
-    def counted(push):
-        return {name: np.column_stack([np.arange(len(rows)), rows[:, 1:]]) for name, rows in push.items()}
+@pytest.mark.parametrize("finger", [1.0, 0.1])
+def test_stamps_that_count_frames_are_told(finger):
+    """Unless the finger's show the unit, as beside a camera of one picture a second."""
 
-    assert any("do they count frames" in text for text in of_arrays(counted).warnings)
+    def counted(push):
+        steps = {name: finger if name == "tip_pose" else 1.0 for name in push}
+        return {
+            name: np.column_stack([steps[name] * np.arange(len(rows)), rows[:, 1:]])
+            for name, rows in push.items()
+        }
+
+    told = [text for text in of_arrays(counted, tell=lambda text: None).warnings if "count frames" in text]
+    assert bool(told) == (finger == 1.0)
+
+
+def test_the_noise_of_an_angle_that_is_held_is_not_doubted():
+    bar = straight_pushes(4)
+    held = replace(bar, noise=Noise(angle=1.0))
+    assert not any("noise.angle" in text for text in check_trials(held, held.trials, "held")[1])
 
 
 @pytest.mark.parametrize("center", [(0, 0), [0.0, 0.0], np.zeros(2)])
