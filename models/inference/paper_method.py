@@ -92,7 +92,8 @@ class EqualSteps:
 def observe_steps(trial: Trial, reach: float = 0.0) -> EqualSteps:
     """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed.
 
-    `reach` is that of the object's outline from its frame's origin, m, see `Trial.finger_near`.
+    The finger counts as one that does not turn. `reach` is that of the object's outline from its frame's
+    origin, m, see `Trial.finger_near`.
     """
     times = pose_times(trial)
     steps = min(_STEPS, len(times) - 1)
