@@ -47,7 +47,7 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
         open_trials=(), locked=(), without_effects=None, with_effects=None, base=model([], []),
         motion_error=0.03, force_error=0.05, quick=True, seconds=0.0, seed=0,
     )  # fmt: skip
-    told = next_push(diagnosis, dataset)
+    told, _ = next_push(diagnosis, dataset, 0)
     figure = telling_push_figure(told, diagnosis, dataset)
     outlines = [patch for patch in figure.axes[0].patches if isinstance(patch, PathPatch)]
     assert len(outlines) == 3

@@ -48,6 +48,7 @@ class Outcome:
 
     moved: float  # m
     off: float  # average distance (ADD) between the end in the plant and the model's, m
+    turned_off: float  # angle between the two, rad
     off_if_still: float  # the same for a model that does not know of a finger that turns, m
     rocking: float  # share of the steps in motion with a tilt of more than `ROCKS`
 
@@ -87,9 +88,12 @@ class ArmCell:
         pushes = [push, replace(push, tip_angle=None)]
         measured = trial.object_pose.values[-1]
         ends = self._slider.rollout(self.thing.maps, pushes).end[0, :, :3]
+        off, off_if_still = (float(add(end, measured, self.thing.grid.centers)) for end in ends)
         return Outcome(
             float(np.linalg.norm(measured[:2] - push.start_pose[:2])),
-            *(float(add(end, measured, self.thing.grid.centers)) for end in ends),
+            off,
+            abs(float(ends[0, 2] - measured[2])),
+            off_if_still,
             float(np.mean(tilts > ROCKS)) if len(tilts) else 0.0,
         )
 
