@@ -34,6 +34,13 @@ def test_channels_of_different_rates_share_one_time_column(tmp_path):
     np.testing.assert_allclose(trial.ft_wrench.values[-1], [2.0, 0.1, -0.01])  # not turned
 
 
+def test_a_finger_that_turns_has_its_angle_in_a_column_of_its_own(tmp_path):
+    rows = [f"{row},{0.01 * number if number % 3 == 1 else ''}" for number, row in enumerate(lines())]
+    (trial,) = read_dataset(write(tmp_path, rows, f"{HEADER},tip_theta"), object_name="rect1").trials
+    np.testing.assert_array_equal(trial.tip_angle.time, trial.tip_pose.time)
+    np.testing.assert_allclose(trial.tip_angle.values[:, 0], 0.01 * np.arange(1, 120, 3), atol=1e-12)
+
+
 def test_a_folder_order_of_columns_and_line_ends_do_not_matter(tmp_path):
     for push in range(4):
         shuffled = [",".join(reversed(row.split(","))) for row in lines(push)]
