@@ -52,9 +52,8 @@ LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 _FEW_ROWS = 12  # of the finger; with fewer, a stop between two rows would become a ramp
 _DRAWN_PAIRS = 4  # of opposite tracks that the finger may have taken
 _LEAST_SCATTER = 2e-6  # m between tracks that matters
-_SLIDING_STEP = 2e-3  # s, for an object that starts in motion; and m that it may move in a step, since an
-_SLIDING_STRIDE = 2e-4  # implicit step stops it half of that too early
-_SHORTEST_STEP = 1e-4  # s
+# s and m, for an object that starts in motion; an implicit step stops it half a stride too early
+_SLIDING_STEP, _SHORTEST_STEP, _SLIDING_STRIDE = 2e-3, 1e-4, 2e-4
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
 """Contact for recorded fingers: 0.1 mm of penetration, like the give of real fingers, keeps the remaining

@@ -191,7 +191,7 @@ def join_pushes(
     samples, forces = [push.pose_samples for push in pushes], [push.force_steps for push in pushes]
     return JoinedPushes(
         np.array([push.h for push in pushes]),
-        np.concatenate([tip_with_angle(push.tip, push.tip_angle) for push in pushes]),
+        np.concatenate([_with_angle(push) for push in pushes]),
         _offsets([len(push.tip) for push in pushes]),
         np.concatenate(wrenches),
         _offsets([len(wrench) for wrench in wrenches]),
@@ -207,9 +207,9 @@ def join_pushes(
     )
 
 
-def tip_with_angle(tip: FloatArray, angle: FloatArray | None) -> FloatArray:
-    """(N + 1, 3) a finger's centres (N + 1, 2) and angles (N + 1,), 0 for a finger that does not turn."""
-    return np.column_stack([tip, np.zeros(len(tip)) if angle is None else angle])
+def _with_angle(push: Push) -> FloatArray:
+    """(N + 1, 3) the finger's centre and angle, 0 if it does not turn."""
+    return np.column_stack([push.tip, np.zeros(len(push.tip)) if push.tip_angle is None else push.tip_angle])
 
 
 def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], models: int) -> FloatArray:

@@ -18,7 +18,6 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import AFTER, FORCE
 from slipmap.models.physics.kernel import INPUTS, single_steps
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import tip_with_angle
 from slipmap.models.physics.rollout import RolloutError, Slider, Smoothing
 from slipmap.models.physics.sensors import Sensors
 from slipmap.models.physics.step import EXTRA_COLUMNS
@@ -148,7 +147,8 @@ class Stepper(Slider):
         """
         # Always the same memory layout, so that the kernel is compiled only once.
         states = np.ascontiguousarray(states, dtype=float)
-        wrench, tip = np.ascontiguousarray(wrench, dtype=float), tip_with_angle(np.asarray(tip, float), None)
+        wrench, path = np.ascontiguousarray(wrench, dtype=float), np.zeros((2, 3))
+        path[:, :2] = tip
         (K, Z), n = states.shape, len(self.grid)
         constants = self._per_step.copy()
         constants[0, 0], constants[0, 2] = time, order
@@ -156,7 +156,7 @@ class Stepper(Slider):
         after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
         # Fields of `Formulas`.
         formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
-        drive = (self.h, tip, wrench)
+        drive = (self.h, path, wrench)
         by_mass = np.zeros((K, Z, n if derive and self._top is not None else 0))
         found = np.empty((K, 0 if self._top is None else RIM_RESULTS))
         model = (self._common, models.reduced, formulas, self._top)
